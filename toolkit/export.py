@@ -1,0 +1,258 @@
+"""A trained policy as one ONNX graph: named observations in, the target robot's own action out.
+
+The normalisation, the network and the map to robosuite's action are all inside the graph, so whoever runs it needs
+onnxruntime, a dictionary of numbers and nothing else. `load_onnx` imports neither torch nor onnx.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import onnxruntime
+from onnxruntime.capi import onnxruntime_pybind11_state as onnxruntime_errors
+
+from toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:  # these two pull in torch and onnx, which a machine that only loads does not have
+    import onnx
+
+    from toolkit.learning.policy import GaussianPolicy
+
+OPSET, IR_VERSION = 17, 8
+"""ONNX of mid-2022: old enough for every runtime still in use; nothing newer is needed."""
+
+METADATA_KEY = "meta_evolve"
+"""Key of the model's metadata_props under which the caller's JSON travels."""
+
+
+@dataclass(frozen=True, eq=False)
+class ActionMap:
+    """From the policy's action to robosuite's: `clip(matrix @ mean + offset, -1, 1)`.
+
+    Raises:
+        ToolkitError: shapes that do not fit together, or numbers that are not finite.
+    """
+
+    matrix: np.ndarray
+    """(n_out, n_act) share of each policy entry in each robosuite entry."""
+    offset: np.ndarray
+    """(n_out,) robosuite's action at a policy mean of 0."""
+
+    def __post_init__(self) -> None:
+        for name in ("matrix", "offset"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        if self.matrix.ndim != 2 or self.offset.shape != self.matrix.shape[:1]:
+            raise ToolkitError(
+                f"ActionMap has matrix {self.matrix.shape} and offset {self.offset.shape}; "
+                "give (n_out, n_act) and (n_out,)."
+            )
+        if not (np.isfinite(self.matrix).all() and np.isfinite(self.offset).all()):
+            raise ToolkitError("ActionMap holds numbers that are not finite; give finite ones.")
+
+    def __call__(self, mean: np.ndarray) -> np.ndarray:
+        """(..., n_act) policy mean -> (..., n_out) robosuite action in [-1, 1]."""
+        return np.clip(mean @ self.matrix.T + self.offset, -1.0, 1.0)
+
+
+def export_onnx(
+    policy: "GaussianPolicy",
+    path: str | Path,
+    action_map: ActionMap,
+    record: Mapping[str, int],
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the policy's mean action as one ONNX file, whole or not at all. Same policy, same bytes.
+
+    Inputs are one float32 vector per entry of the record, named as there; the output is `action`, float32 (n_out,),
+    in robosuite's units. In between the graph computes in float64, as the policy was trained: only the rounding of
+    input and output sets it apart. NaN in the record gives NaN in the action; it is never turned into a command.
+
+    Args:
+        policy: what to export.
+        path: file to write.
+        action_map: to the robot's own action.
+        record: name -> size of each observation entry, in the order in which the policy sees them.
+        metadata: anything JSON can hold (names, sizes, units, rate [Hz], run), stored in metadata_props.
+
+    Raises:
+        ToolkitError: sizes that do not fit the policy, metadata that is not JSON, or a path that cannot be written.
+    """
+    import onnx
+
+    _check_sizes(policy, action_map, record)
+    try:
+        text = json.dumps(dict(metadata or {}), sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ToolkitError(f"metadata for {path} is not JSON ({error}); give strings, numbers and lists.") from error
+    model = onnx.helper.make_model(
+        _graph(policy, action_map, record),
+        producer_name="meta-evolve",
+        opset_imports=[onnx.helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+    )
+    onnx.helper.set_model_props(model, {METADATA_KEY: text})
+    onnx.checker.check_model(model, full_check=True)
+    _write_atomically(Path(path), model.SerializeToString(deterministic=True))
+
+
+def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int]) -> "onnx.GraphProto":
+    """The same few lines as `GaussianPolicy.mean` and `ActionMap.__call__`, as nodes."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    from toolkit.learning.policy import OBSERVATION_CLIP
+
+    nodes, constants = [], []
+
+    def constant(name: str, value: np.ndarray | float) -> str:
+        constants.append(numpy_helper.from_array(np.asarray(value, dtype=np.float64), name))
+        return name
+
+    def node(operation: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
+        nodes.append(helper.make_node(operation, inputs, [output], name=f"make.{output}", **attributes))
+        return output
+
+    def affine(x: str, name: str, W: np.ndarray, b: np.ndarray) -> str:
+        product = node("MatMul", [constant(f"{name}.weight", W), x], f"{name}.product")
+        return node("Add", [product, constant(f"{name}.bias", b)], f"{name}.sum")
+
+    layers = policy.layers()
+    clip = [constant("observation.low", -OBSERVATION_CLIP), constant("observation.high", OBSERVATION_CLIP)]
+    x = node("Concat", list(record), "observation", axis=0)
+    x = node("Cast", [x], "observation.float64", to=TensorProto.DOUBLE)
+    x = node("Sub", [x, constant("observation.shift", layers.shift)], "observation.centred")
+    x = node("Div", [x, constant("observation.scale", layers.scale)], "observation.scaled")
+    x = node("Clip", [x, *clip], "observation.clipped")
+    for i, (W, b) in enumerate(layers.weights):
+        x = affine(x, f"layer_{i}", W, b)
+        if i < len(layers.weights) - 1:
+            x = node("Tanh", [x], f"layer_{i}.tanh")
+    x = affine(x, "action_map", action_map.matrix, action_map.offset)
+    x = node("Clip", [x, constant("action.low", -1.0), constant("action.high", 1.0)], "action.clipped")
+    node("Cast", [x], "action", to=TensorProto.FLOAT)
+    inputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [size]) for name, size in record.items()]
+    output = helper.make_tensor_value_info("action", TensorProto.FLOAT, [len(action_map.offset)])
+    return helper.make_graph(nodes, "meta_evolve_policy", inputs, [output], constants)
+
+
+def _check_sizes(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int]) -> None:
+    n_obs, n_act = len(policy.observation_names), len(policy.action_names)
+    if sum(record.values()) != n_obs or any(size < 1 for size in record.values()):
+        raise ToolkitError(f"record {dict(record)} has {sum(record.values())} numbers; this policy sees {n_obs}.")
+    for name in record:
+        # The graph's own names hold a dot, or are these two; an input must not be mistaken for one of them.
+        if not name or "." in name or name in ("observation", "action"):
+            raise ToolkitError(f"record entry {name!r} cannot name an input; use no dot, 'observation' or 'action'.")
+    if action_map.matrix.shape[1] != n_act:
+        raise ToolkitError(f"ActionMap takes {action_map.matrix.shape[1]} action entries; this policy has {n_act}.")
+
+
+def _write_atomically(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ToolkitError(f"{path} cannot be written ({error.strerror}); choose a writable place.") from error
+
+
+class OnnxPolicy:
+    """An exported policy, ready to call. Made by `load_onnx`.
+
+    Attributes:
+        record: name -> size of each observation entry, in order.
+        n_out: entries of the action.
+        metadata: what the exporter stored.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, metadata: dict[str, Any]) -> None:
+        self._session = session
+        self.record = {entry.name: int(entry.shape[0]) for entry in session.get_inputs()}
+        self.n_out = int(session.get_outputs()[0].shape[0])
+        self.metadata = metadata
+
+    def __call__(self, record: Mapping[str, np.ndarray]) -> np.ndarray:
+        """One named record of (size,) arrays -> (n_out,) float32 action in [-1, 1], or NaN if the record holds any.
+
+        Raises:
+            ToolkitError: an entry that is missing, unknown or of the wrong size.
+        """
+        if record.keys() != self.record.keys():
+            odd = sorted(record.keys() ^ self.record.keys())
+            raise ToolkitError(f"the record lacks or adds {odd}; this policy takes {list(self.record)}.")
+        feed = {name: np.asarray(record[name], dtype=np.float32) for name in self.record}
+        for name, size in self.record.items():
+            if feed[name].shape != (size,):
+                raise ToolkitError(f"record entry {name!r} has shape {feed[name].shape}; give ({size},).")
+        return self._session.run(["action"], feed)[0]
+
+
+def load_onnx(path: str | Path) -> OnnxPolicy:
+    """Read a file that `export_onnx` wrote, to run on one CPU thread.
+
+    Raises:
+        ToolkitError: a file that is missing, damaged, or not an exported policy.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ToolkitError(f"{path} does not exist; give the path of an exported policy.")
+    options = onnxruntime.SessionOptions()
+    # A few thousand products per call: a second thread would cost more than it does, and spin between calls.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+    except _LOAD_ERRORS as error:
+        raise ToolkitError(f"{path} is damaged or is not ONNX ({error}); export the policy again.") from error
+    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    entries = [*session.get_inputs(), *session.get_outputs()]
+    plain = all(entry.type == "tensor(float)" and [type(n) for n in entry.shape] == [int] for entry in entries)
+    if text is None or not plain or [entry.name for entry in session.get_outputs()] != ["action"]:
+        raise ToolkitError(f"{path} is ONNX, but not an exported policy; give a file that export_onnx wrote.")
+    try:
+        metadata = json.loads(text)
+    except ValueError as error:
+        raise ToolkitError(f"{path} has broken metadata ({error}); export the policy again.") from error
+    return OnnxPolicy(session, metadata)
+
+
+# onnxruntime's errors share no base but Exception; these are the ones that a bad file raises.
+_LOAD_ERRORS = (
+    OSError,
+    onnxruntime_errors.Fail,
+    onnxruntime_errors.InvalidArgument,
+    onnxruntime_errors.InvalidGraph,
+    onnxruntime_errors.InvalidProtobuf,
+    onnxruntime_errors.NoModel,
+    onnxruntime_errors.NotImplemented,
+    onnxruntime_errors.RuntimeException,
+)
+
+
+def onnx_max_abs_error(
+    policy: "GaussianPolicy", path: str | Path, observations: np.ndarray, action_map: ActionMap
+) -> float:
+    """Largest |ONNX - numpy| over the actions for (N, n_obs) observations, in robosuite's action units; NaN if any is.
+
+    The reference sees the float64 observations, so the file's float32 inputs are part of what is measured.
+
+    Raises:
+        ToolkitError: a file that does not load, or observations that do not fit it.
+    """
+    exported = load_onnx(path)
+    observations = np.asarray(observations, dtype=np.float64)
+    n_obs = sum(exported.record.values())
+    if observations.ndim != 2 or observations.shape[1] != n_obs or len(observations) == 0:
+        raise ToolkitError(f"observations have shape {observations.shape}; give at least one row of {n_obs}.")
+    ends = np.cumsum(list(exported.record.values()))[:-1]
+    actions = [exported(dict(zip(exported.record, np.split(row, ends)))) for row in observations]
+    return float(np.abs(np.array(actions, dtype=np.float64) - action_map(policy.mean(observations))).max())

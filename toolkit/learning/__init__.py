@@ -1,0 +1,1 @@
+"""Improving a policy: episodes in, a better Gaussian policy out. Knows no robot, task or simulator."""
