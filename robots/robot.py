@@ -1,0 +1,33 @@
+"""The record that describes a system: an arm with a gripper on it, standing at the task's table."""
+
+from dataclasses import dataclass
+
+from grippers.gripper import Gripper
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robosuite arm with a gripper.
+
+    Attributes:
+        name: the toolkit's name of the system.
+        arm: robosuite's name of the arm.
+        gripper: what is mounted on it.
+        base_position: of the arm's mount (x, y, z) [m] in the task's frame, whose origin is on the floor under the
+            table's centre.
+        posture_seed: arm configuration [rad] near which the start posture is sought (robosuite's own start).
+        source_of_policy: True for a robot that experts are trained on.
+        datasheet: where the arm's numbers come from.
+    """
+
+    name: str
+    arm: str
+    gripper: Gripper
+    base_position: tuple[float, float, float]
+    posture_seed: tuple[float, ...]
+    datasheet: str
+    source_of_policy: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ValueError(f"robot name {self.name!r} is not an identifier")

@@ -1,0 +1,5 @@
+"""Tasks by name."""
+
+from tasks.pick import TASKS, PickTask
+
+__all__ = ["TASKS", "PickTask"]

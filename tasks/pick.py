@@ -1,0 +1,151 @@
+"""DexYCB-style pick: lift the object from the table and bring it to a goal position.
+
+Constants and pure functions only. The same functions serve robosuite's environment (tasks/env.py) and the fast
+rollouts; they use nothing but NumPy so that they can be compiled.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grippers.gripper import COMMANDED_ROLES
+from tasks.objects import OBJECTS, PickObject
+
+TABLE_TOP = 0.8
+"""Height [m] of the table's surface above the floor: robosuite's table arena."""
+TABLE_FULL_SIZE = (0.8, 0.8, 0.05)
+"""[m]: robosuite's table arena."""
+START_POSITION = np.array([-0.10, 0.0, 0.95])
+"""Grasp frame origin [m] at the start of every episode, for every robot, in the task's frame (floor, table centre)."""
+START_ROTATION = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Grasp frame axes at the start, as columns: x (closing axis, thumb side) along world y, z (approach) downwards."""
+OBJECT_XY = np.array([-0.10, 0.0])
+"""Nominal object position [m] on the table."""
+GOAL_OFFSET = np.array([0.0, 0.10, 0.20])
+"""Goal [m] relative to the object's nominal start: lifted 0.2 m and carried 0.1 m aside."""
+
+
+@dataclass(frozen=True)
+class PickTask:
+    """A pick task.
+
+    Attributes:
+        object: what is picked.
+        noise_xy: half width [m] of the uniform shift of object and goal together.
+        noise_yaw: half width [rad] of the uniform yaw of the object.
+        goal_tolerance: distance [m] from object to goal that counts as reached.
+        hold_steps: consecutive policy steps within the tolerance that make a success.
+        horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
+        control_frequency: policy rate [Hz].
+    """
+
+    object: PickObject
+    noise_xy: float = 0.01
+    noise_yaw: float = 0.0
+    goal_tolerance: float = 0.05
+    hold_steps: int = 10
+    horizon: int = 200
+    control_frequency: float = 20.0
+
+    @property
+    def name(self) -> str:
+        """Name on the command line: the object's, with "-wide" for the wide start noise."""
+        return self.object.name + ("-wide" if self.noise_yaw > 0 else "")
+
+    def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Start of an episode.
+
+        Returns:
+            object pose (7,): position [m] and quaternion (w first); goal position (3,) [m].
+        """
+        shift = rng.uniform(-self.noise_xy, self.noise_xy, 2)
+        yaw = rng.uniform(-self.noise_yaw, self.noise_yaw)
+        position = np.array([*(OBJECT_XY + shift), TABLE_TOP + self.object.half_height])
+        quaternion = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+        return np.concatenate([position, quaternion]), position + GOAL_OFFSET
+
+
+TASKS: dict[str, PickTask] = {
+    task.name: task
+    for item in OBJECTS.values()
+    for task in (PickTask(item), PickTask(item, noise_xy=0.05, noise_yaw=np.deg2rad(30)))
+}
+
+OBSERVATION: dict[str, int] = {
+    **{f"finger/{role}": 1 for role in COMMANDED_ROLES},  # joint displacement from its start posture [rad]
+    "gripper_command": 1,  # mean closing command, -1 open, +1 closed
+    "grasp_position": 3,  # grasp frame origin from its start [m], world axes
+    "grasp_rotation": 3,  # axis times sine of the angle from the start rotation, world axes
+    "object_from_grasp": 3,  # object centre from the grasp frame origin [m], world axes
+    "object_rotation": 3,  # axis times sine of the object's rotation from upright zero yaw, world axes
+    "goal_from_object": 3,  # [m], world axes
+}
+"""The observation record: entry -> size. The same for every robot; joints that a robot lacks read zero."""
+OBSERVATION_SIZE = sum(OBSERVATION.values())
+OBSERVATION_SCALE = np.concatenate(
+    [np.full(len(COMMANDED_ROLES), 0.3), [1.0], np.full(3, 0.05), np.full(3, 0.1), np.full(3, 0.05), np.full(3, 0.1),
+     np.full(3, 0.05)]
+)  # fmt: skip
+"""Smallest scale (n_obs,) by which a policy normalises each entry, so that an entry that hardly moves on the source
+(or a joint that freezes) is never blown up."""
+
+ACTION: dict[str, int] = {
+    "grasp_translation": 3,  # OSC delta of the grasp frame, 1 = 0.05 m, base axes
+    "grasp_rotation": 3,  # OSC delta, 1 = 0.5 rad, base axes
+    **{f"close/{role}": 1 for role in COMMANDED_ROLES},  # -1 open, +1 closed posture of that joint
+}
+"""The action record: entry -> size."""
+ACTION_SIZE = sum(ACTION.values())
+
+
+def sine_of_rotation(rotation: np.ndarray) -> np.ndarray:
+    """Axis times sine of the angle of a rotation matrix (3, 3): smooth at zero, odd, bounded by 1."""
+    out = np.empty(3)
+    out[0] = 0.5 * (rotation[2, 1] - rotation[1, 2])
+    out[1] = 0.5 * (rotation[0, 2] - rotation[2, 0])
+    out[2] = 0.5 * (rotation[1, 0] - rotation[0, 1])
+    return out
+
+
+def observe(
+    fingers: np.ndarray,
+    command: float,
+    grasp_position: np.ndarray,
+    grasp_rotation_from_start: np.ndarray,
+    object_position: np.ndarray,
+    object_rotation: np.ndarray,
+    goal: np.ndarray,
+    start_position: np.ndarray,
+) -> np.ndarray:
+    """The observation vector (n_obs,), entries in the order of OBSERVATION.
+
+    Args:
+        fingers: displacements (22,) [rad], in the order of COMMANDED_ROLES.
+        command: closing command.
+        grasp_position: (3,) [m], world.
+        grasp_rotation_from_start: sine_of_rotation (3,) of the grasp frame's rotation from its start.
+        object_position: (3,) [m], world.
+        object_rotation: sine_of_rotation (3,) of the object.
+        goal: (3,) [m], world.
+        start_position: (3,) [m], START_POSITION.
+    """
+    n = fingers.shape[0]
+    out = np.empty(n + 16)
+    out[:n] = fingers
+    out[n] = command
+    out[n + 1 : n + 4] = grasp_position - start_position
+    out[n + 4 : n + 7] = grasp_rotation_from_start
+    out[n + 7 : n + 10] = object_position - grasp_position
+    out[n + 10 : n + 13] = object_rotation
+    out[n + 13 : n + 16] = goal - object_position
+    return out
+
+
+def at_goal(object_position: np.ndarray, goal: np.ndarray, tolerance: float) -> bool:
+    """Whether the object is within the tolerance [m] of the goal."""
+    return bool(np.sqrt(np.sum((object_position - goal) ** 2)) < tolerance)
+
+
+def is_lost(object_position: np.ndarray) -> bool:
+    """Whether the object has fallen off the table; the episode then ends as a failure."""
+    return bool(object_position[2] < TABLE_TOP - 0.02)

@@ -1,0 +1,409 @@
+"""F: an evolution parameter alpha becomes a MuJoCo model, by patching one compiled model in place.
+
+Every body frame of the merged robot stands with world axes at the start posture, joint angles count from there, and the
+grasp frame starts at the same pose on every robot; so a link is its joint's anchor and axis, nothing else.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tasks.pick import OBJECT_XY, START_POSITION, START_ROTATION, TABLE_FULL_SIZE, TABLE_TOP, PickTask
+from toolkit.errors import ToolkitError
+from toolkit.morphology.space import (
+    FREEZE_DECADES,
+    FROZEN_ARMATURE,
+    FROZEN_DAMPING,
+    FROZEN_STIFFNESS,
+    EvolutionSpace,
+    inertia_from_gyration,
+    tangents_to_axes,
+)
+
+MIN_MASS = 1e-9
+"""Mass [kg] of an absent link: MuJoCo refuses less; its joint's armature is what keeps the mass matrix regular."""
+MIN_INERTIA = 1e-13
+"""Principal inertia [kg m^2] of an absent link."""
+MIN_SIZE = 1e-5
+"""Size [m] of an absent geom; absent geoms do not collide either."""
+HAND_EXTENT = 0.25
+"""Half extent [m] of the box within which a hand link's geoms lie, from the link's centre of mass, on every robot."""
+PRESENT = 1e-6
+"""A geom collides, and a coupling is held, from this presence on."""
+BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
+"""Radius [m] of the visual bones between joints."""
+HAND_BIT, OBJECT_BIT = 2, 1
+"""Contact bits: the hand touches object and table, object and table touch each other, the hand never itself."""
+
+
+@dataclass
+class Patch:
+    """What F writes, as arrays over slots, shapes and couplings (all in MuJoCo's own meaning)."""
+
+    body_pos: np.ndarray
+    axis: np.ndarray
+    mass: np.ndarray
+    com: np.ndarray
+    inertia: np.ndarray
+    inertia_quat: np.ndarray
+    limits: np.ndarray
+    margin: np.ndarray
+    spring: np.ndarray
+    damping: np.ndarray
+    armature: np.ndarray
+    friction_loss: np.ndarray
+    gain: np.ndarray
+    force_limit: np.ndarray
+    shape_pos: np.ndarray
+    shape_quat: np.ndarray
+    shape_size: np.ndarray
+    shape_contact: np.ndarray
+    shape_friction: np.ndarray
+    shape_solref: np.ndarray
+    shape_margin: np.ndarray
+    coupling: np.ndarray
+    coupling_stiffness: np.ndarray
+    coupling_rest: np.ndarray
+    coupling_limits: np.ndarray
+    coupling_friction: np.ndarray
+    coupling_impedance: np.ndarray
+    coupling_length: np.ndarray
+    coupling_held: np.ndarray
+    torque_limit: np.ndarray
+    bone_pos: np.ndarray
+    bone_quat: np.ndarray
+    bone_size: np.ndarray
+
+
+def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal moments (n, 3) and their frames as quaternions (n, 4), w first, of inertias (n, 3, 3)."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
+    return np.maximum(moments, MIN_INERTIA), Rotation.from_matrix(axes).as_quat(scalar_first=True)
+
+
+def _bones(anchors: np.ndarray, tips: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Capsules from each anchor to its tip: positions in the link frame, quaternions, sizes (radius, half length, 0)."""
+    span = tips - anchors
+    length = np.linalg.norm(span, axis=1)
+    quats = np.zeros((len(anchors), 4))
+    for i, vector in enumerate(span):
+        mujoco.mju_quatZ2Vec(quats[i], vector if length[i] > 1e-9 else np.array([0.0, 0.0, 1.0]))
+    size = np.stack([radius, np.maximum(length / 2, MIN_SIZE), np.zeros_like(radius)], axis=1)
+    return span / 2, quats, size
+
+
+class MergedRobot:
+    """One compiled MuJoCo model that can become any robot of an evolution space.
+
+    Args:
+        space: the evolution space.
+        task: what lies on the table.
+
+    Attributes:
+        template: the model compiled at the source; never stepped, only copied.
+    """
+
+    def __init__(self, space: EvolutionSpace, task: PickTask) -> None:
+        self.space, self.task = space, task
+        slots = space.matching.slots
+        self._parents = np.array([slot.parent for slot in slots])
+        self._arm = space.matching.arm_size
+        self._driven = [i for i in range(self._arm, len(slots)) if not slots[i].name.endswith("K")]
+        self._shape_slot = np.array([s.slot for s in space.shape_slots])
+        capsule = np.array([s.kind == mujoco.mjtGeom.mjGEOM_CAPSULE for s in space.shape_slots])
+        self._shape_dims = np.where(capsule[:, None], (1.0, 1.0, 0.0), 1.0)
+        self._shape_reference = Rotation.from_matrix(np.array([s.reference for s in space.shape_slots]))
+        self._tip_of = self._tips()
+        self.template = self.compile(space.betas[0])
+
+    def _tips(self) -> list[int]:
+        """For each slot the slot at whose anchor its visual bone ends; -1: at the finger's last shape or the palm."""
+        out = []
+        for index in range(len(self._parents)):
+            children = [c for c in np.flatnonzero(self._parents == index) if index < self._arm - 1 or index >= self._arm]
+            out.append(int(children[0]) if children else -1)
+        return out
+
+    # ---- theta -> what MuJoCo wants ----------------------------------------------------------------------------
+
+    def patch(self, alpha: np.ndarray) -> Patch:
+        """Everything that F writes at ``alpha`` (D,)."""
+        theta = self.space.theta(alpha)
+        anchors = theta["anchor"]
+        parents = np.where(self._parents[:, None] >= 0, anchors[self._parents], 0.0)
+        mass = np.maximum(theta["mass"][:, 0], MIN_MASS)
+        moments, frames = _principal(inertia_from_gyration(mass, theta["gyration"]))
+        freeze = theta["freeze"][:, 0]
+        locked = (10.0 ** (FREEZE_DECADES * freeze) - 1.0) / (10.0**FREEZE_DECADES - 1.0)
+        presence = theta["shape_presence"][:, 0]
+        rotation = Rotation.from_rotvec(theta["shape_rotation"]) * self._shape_reference
+        size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
+        held = theta["coupling_held"][:, 0]
+        bone_pos, bone_quat, bone_size = self._bone_geometry(theta, presence)
+        return Patch(
+            body_pos=anchors - parents,
+            axis=tangents_to_axes(theta["axis"], self.space.axis_references, self.space.axis_bases),
+            mass=mass,
+            com=theta["com"] - anchors,
+            inertia=moments,
+            inertia_quat=frames,
+            limits=theta["limits"],
+            margin=theta["limit_margin"][:, 0],
+            spring=locked * FROZEN_STIFFNESS,
+            damping=theta["damping"][:, 0] * (1 - freeze) + locked * FROZEN_DAMPING,
+            armature=theta["armature"][:, 0] * (1 - freeze) + locked * FROZEN_ARMATURE,
+            friction_loss=theta["friction_loss"][:, 0],
+            gain=theta["stiffness"][self._driven, 0],
+            force_limit=np.maximum(theta["force_limit"][self._driven, 0], 1e-9),
+            shape_pos=theta["shape_position"] - anchors[self._shape_slot],
+            shape_quat=rotation.as_quat(scalar_first=True),
+            shape_size=size,
+            shape_contact=np.where(presence > PRESENT, HAND_BIT, 0),
+            shape_friction=theta["shape_friction"],
+            shape_solref=theta["shape_solref"],
+            shape_margin=theta["shape_margin"][:, 0],
+            coupling=theta["coupling"],
+            coupling_stiffness=theta["coupling_stiffness"][:, 0],
+            coupling_rest=theta["coupling_rest"][:, 0],
+            coupling_limits=theta["coupling_limits"],
+            coupling_friction=theta["coupling_friction"][:, 0],
+            coupling_impedance=np.outer(held, (0.9, 0.95)),  # MuJoCo's default impedance when fully held
+            coupling_length=theta["coupling_length"][:, 0],
+            coupling_held=held > PRESENT,
+            torque_limit=theta["torque_limit"][:, 0],
+            bone_pos=bone_pos,
+            bone_quat=bone_quat,
+            bone_size=bone_size,
+        )
+
+    def _bone_geometry(self, theta: dict[str, np.ndarray], presence: np.ndarray) -> tuple[np.ndarray, ...]:
+        anchors = theta["anchor"]
+        tips = anchors.copy()
+        for index, tip in enumerate(self._tip_of):
+            if tip >= 0:
+                tips[index] = anchors[tip]
+            elif index == self._arm - 1:
+                tips[index] = 0.5 * (anchors[index] + START_POSITION)
+            else:
+                own = np.flatnonzero(self._shape_slot == index)
+                if len(own):
+                    weights = presence[own] + 1e-6
+                    tips[index] = weights @ theta["shape_position"][own] / weights.sum()
+        is_arm = np.arange(len(anchors)) < self._arm
+        radius = np.where(is_arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"]) * (1 - theta["freeze"][:, 0])
+        return _bones(anchors, tips, np.maximum(radius, MIN_SIZE))
+
+    # ---- from scratch ------------------------------------------------------------------------------------------
+
+    def spec(self, p: Patch) -> mujoco.MjSpec:
+        """The patched scene as an MjSpec: the reference that F in place must equal field by field."""
+        spec = mujoco.MjSpec()
+        spec.modelname = "merged"
+        spec.compiler.degree = False
+        # robosuite 1.5.1, base.xml and table arena.
+        spec.option.timestep, spec.option.impratio, spec.option.density = 0.002, 20.0, 1.2
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        # Bounding-volume trees of bodies are compiled; few geoms per body make them useless, and F would have to mend them.
+        spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+        self._add_table(spec)
+        bodies = self._add_links(spec, p)
+        self._add_shapes(bodies, p)
+        self._add_actuators(spec, p)
+        self._add_couplings(spec, p)
+        self._add_object(spec)
+        return spec
+
+    @staticmethod
+    def _add_table(spec: mujoco.MjSpec) -> None:
+        half = np.array(TABLE_FULL_SIZE) / 2
+        spec.worldbody.add_geom(
+            name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]],
+            friction=[1, 0.005, 0.0001], contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
+            rgba=[0.75, 0.72, 0.68, 1],
+        )  # fmt: skip
+        spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
+
+    def _add_links(self, spec: mujoco.MjSpec, p: Patch) -> list:
+        bodies = []
+        for i, slot in enumerate(self.space.matching.slots):
+            parent = spec.worldbody if slot.parent < 0 else bodies[slot.parent]
+            body = parent.add_body(
+                name=slot.name, pos=p.body_pos[i], mass=p.mass[i], ipos=p.com[i], iquat=p.inertia_quat[i],
+                inertia=p.inertia[i], explicitinertial=True,
+            )  # fmt: skip
+            body.add_joint(
+                name=slot.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=p.axis[i], limited=True, range=p.limits[i],
+                margin=p.margin[i], stiffness=p.spring[i], damping=p.damping[i], armature=p.armature[i],
+                frictionloss=p.friction_loss[i],
+            )  # fmt: skip
+            rgba = [0.3, 0.33, 0.38, 1] if i < self._arm else [0.55, 0.58, 0.62, 1]
+            body.add_geom(
+                name=f"{slot.name}/bone", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=p.bone_size[i], pos=p.bone_pos[i],
+                quat=p.bone_quat[i], contype=0, conaffinity=0, group=1, rgba=rgba, density=0,
+            )  # fmt: skip
+            bodies.append(body)
+        flange = bodies[self._arm - 1]
+        quat = Rotation.from_matrix(START_ROTATION).as_quat(scalar_first=True)
+        flange.add_site(name="grasp", pos=START_POSITION - self._anchor_of(p, self._arm - 1), quat=quat)
+        return bodies
+
+    def _anchor_of(self, p: Patch, slot: int) -> np.ndarray:
+        position = np.zeros(3)
+        while slot >= 0:
+            position, slot = position + p.body_pos[slot], self._parents[slot]
+        return position
+
+    def _add_shapes(self, bodies: list, p: Patch) -> None:
+        for i, shape in enumerate(self.space.shape_slots):
+            owner_is_source = shape.owners[0] is not None
+            bodies[shape.slot].add_geom(
+                name=shape.name, type=mujoco.mjtGeom(shape.kind), size=p.shape_size[i], pos=p.shape_pos[i],
+                quat=p.shape_quat[i], friction=p.shape_friction[i], solref=p.shape_solref[i], margin=p.shape_margin[i],
+                condim=shape.condim, contype=HAND_BIT, conaffinity=0, group=1, density=0,
+                rgba=[0.85, 0.65, 0.5, 1] if owner_is_source else [0.2, 0.45, 0.75, 1],
+            )  # fmt: skip
+
+    def _add_actuators(self, spec: mujoco.MjSpec, p: Patch) -> None:
+        slots = self.space.matching.slots
+        for i in range(self._arm):
+            limit = p.torque_limit[i]
+            actuator = spec.add_actuator(name=slots[i].name, target=slots[i].name, ctrllimited=True, ctrlrange=[-limit, limit])
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        for k, i in enumerate(self._driven):
+            gain, limit = p.gain[k], p.force_limit[k]
+            actuator = spec.add_actuator(
+                name=slots[i].name, target=slots[i].name, forcelimited=True, forcerange=[-limit, limit],
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            )  # fmt: skip
+            actuator.gainprm[0], actuator.biasprm[1] = gain, -gain
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+
+    def _add_couplings(self, spec: mujoco.MjSpec, p: Patch) -> None:
+        slots = self.space.matching.slots
+        for i, coupling in enumerate(self.space.coupling_slots):
+            tendon = spec.add_tendon(name=coupling.name, stiffness=p.coupling_stiffness[i],
+                                     frictionloss=p.coupling_friction[i], springlength=[p.coupling_rest[i]] * 2,
+                                     limited=True, range=p.coupling_limits[i])  # fmt: skip
+            for slot, coefficient in zip(coupling.slots, p.coupling[i], strict=False):
+                tendon.wrap_joint(slots[slot].name, coefficient)
+            equality = spec.add_equality(name=coupling.name, name1=coupling.name, type=mujoco.mjtEq.mjEQ_TENDON,
+                                         active=bool(p.coupling_held[i]), objtype=mujoco.mjtObj.mjOBJ_TENDON)  # fmt: skip
+            equality.data[0] = p.coupling_length[i]
+            equality.solimp[:2] = p.coupling_impedance[i]
+
+    def _add_object(self, spec: mujoco.MjSpec) -> None:
+        item = self.task.object
+        body = spec.worldbody.add_body(name="object", pos=[*OBJECT_XY, TABLE_TOP + item.half_height])
+        body.add_freejoint(name="object")
+        kind = mujoco.mjtGeom.mjGEOM_BOX if item.shape == "box" else mujoco.mjtGeom.mjGEOM_CYLINDER
+        size = [*item.half_size, *([0.0] * (3 - len(item.half_size)))]
+        body.add_geom(
+            name="object", type=kind, size=size, density=item.mass / item.volume, friction=[1, 0.005, 0.0001],
+            contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
+        )  # fmt: skip
+
+    def compile(self, alpha: np.ndarray) -> mujoco.MjModel:
+        """A model compiled from scratch at ``alpha`` (D,).
+
+        Raises:
+            ToolkitError: MuJoCo refuses the merged model; the sentence names the robots and MuJoCo's complaint.
+        """
+        try:
+            patch = self.patch(alpha)
+            model = self.spec(patch).compile()
+        except ValueError as error:
+            names = ", ".join(self.space.matching.names)
+            raise ToolkitError(f"the merged robot of {names} does not compile: {' '.join(str(error).split())}") from error
+        self._loosen(model)
+        self._set_contacts(model, patch)
+        return model
+
+    def _loosen(self, model: mujoco.MjModel) -> None:
+        """Undo what the compiler concluded from one robot's frames and boxes, so that F may move both."""
+        model.body_sameframe[:], model.geom_sameframe[:], model.site_sameframe[:] = 0, 0, 0
+        model.body_simple[:], model.dof_simplenum[:] = 0, 0
+        self._address(model)
+        for body in np.unique(model.geom_bodyid[self._shape]):
+            nodes = np.arange(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
+            model.bvh_aabb[nodes] = (0, 0, 0, HAND_EXTENT, HAND_EXTENT, HAND_EXTENT)
+
+    def _set_contacts(self, model: mujoco.MjModel, p: Patch) -> None:
+        """Contact bits of the hand's geoms, and of its bodies, which the broad phase looks at first."""
+        model.geom_contype[self._shape] = p.shape_contact
+        bodies = model.geom_bodyid[self._shape]
+        model.body_contype[bodies] = 0
+        np.bitwise_or.at(model.body_contype, bodies, p.shape_contact)
+
+    # ---- in place ----------------------------------------------------------------------------------------------
+
+    def _address(self, model: mujoco.MjModel) -> None:
+        slots = self.space.matching.slots
+        self._body = np.array([model.body(s.name).id for s in slots])
+        self._joint = np.array([model.joint(s.name).id for s in slots])
+        self._dof = model.jnt_dofadr[self._joint]
+        self._bone = np.array([model.geom(f"{s.name}/bone").id for s in slots])
+        self._shape = np.array([model.geom(s.name).id for s in self.space.shape_slots])
+        self._arm_actuator = np.array([model.actuator(s.name).id for s in slots[: self._arm]])
+        self._finger_actuator = np.array([model.actuator(slots[i].name).id for i in self._driven])
+        self._grasp = model.site("grasp").id
+        couplings = self.space.coupling_slots
+        self._tendon = np.array([model.tendon(c.name).id for c in couplings], int)
+        self._equality = np.array([model.equality(c.name).id for c in couplings], int)
+        self._wraps = [np.arange(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t]) for t in self._tendon]
+
+    def new(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """A model at the source and its data, ready to be patched and stepped."""
+        import copy
+
+        model = copy.copy(self.template)
+        return model, mujoco.MjData(model)
+
+    def become(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """F(alpha) in place: patch ``model`` (from ``new``) and recompute its derived constants; ``data`` is reset."""
+        p = self.patch(alpha)
+        model.body_pos[self._body], model.body_mass[self._body] = p.body_pos, p.mass
+        model.body_ipos[self._body], model.body_iquat[self._body] = p.com, p.inertia_quat
+        model.body_inertia[self._body] = p.inertia
+        model.jnt_axis[self._joint], model.jnt_range[self._joint] = p.axis, p.limits
+        model.jnt_margin[self._joint], model.jnt_stiffness[self._joint] = p.margin, p.spring
+        model.dof_damping[self._dof], model.dof_armature[self._dof] = p.damping, p.armature
+        model.dof_frictionloss[self._dof] = p.friction_loss
+        model.site_pos[self._grasp] = START_POSITION - self._anchor_of(p, self._arm - 1)
+        self._patch_geoms(model, p)
+        self._patch_actuation(model, p)
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_resetData(model, data)
+
+    def _patch_geoms(self, model: mujoco.MjModel, p: Patch) -> None:
+        for ids, pos, quat, size in (
+            (self._shape, p.shape_pos, p.shape_quat, p.shape_size),
+            (self._bone, p.bone_pos, p.bone_quat, p.bone_size),
+        ):
+            model.geom_pos[ids], model.geom_quat[ids] = pos, quat
+            model.geom_size[ids] = size
+            box = model.geom_type[ids] == mujoco.mjtGeom.mjGEOM_BOX
+            model.geom_rbound[ids] = np.where(box, np.linalg.norm(size, axis=1), size[:, 0] + size[:, 1])
+            capsule_extent = np.stack([size[:, 0], size[:, 0], size[:, 0] + size[:, 1]], axis=1)
+            model.geom_aabb[ids, 3:] = np.where(box[:, None], size, capsule_extent)
+        self._set_contacts(model, p)
+        model.geom_friction[self._shape] = p.shape_friction
+        model.geom_solref[self._shape] = p.shape_solref
+        model.geom_margin[self._shape] = p.shape_margin
+
+    def _patch_actuation(self, model: mujoco.MjModel, p: Patch) -> None:
+        model.actuator_ctrlrange[self._arm_actuator] = np.stack([-p.torque_limit, p.torque_limit], axis=1)
+        model.actuator_gainprm[self._finger_actuator, 0] = p.gain
+        model.actuator_biasprm[self._finger_actuator, 1] = -p.gain
+        model.actuator_forcerange[self._finger_actuator] = np.stack([-p.force_limit, p.force_limit], axis=1)
+        for i, wraps in enumerate(self._wraps):
+            model.wrap_prm[wraps] = p.coupling[i, : len(wraps)]
+        model.tendon_stiffness[self._tendon] = p.coupling_stiffness
+        model.tendon_lengthspring[self._tendon] = p.coupling_rest[:, None]
+        model.tendon_range[self._tendon] = p.coupling_limits
+        model.tendon_frictionloss[self._tendon] = p.coupling_friction
+        model.eq_active0[self._equality] = p.coupling_held
+        model.eq_data[self._equality, 0] = p.coupling_length
+        model.eq_solimp[self._equality, :2] = p.coupling_impedance

@@ -1,0 +1,376 @@
+"""Matching: which joint of each robot is which, and the merged tree that holds them all.
+
+Arms are matched automatically (root to root, flange to flange, joints in order); fingers by the roles that the grippers
+declare. The merged tree is the graph union: a slot per matched joint, with the robots that own it.
+
+Every robot is read at its start posture, where all grasp frames coincide, as a list of screws in world axes (product
+of exponentials; Brockett 1984): a joint is a point and a direction, a link is a mass, a centre and an inertia. The
+merged joint angle counts from the start posture; fingers close in the positive sense, every other joint turns in the
+source's sense. So zero and plus mean the same for all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+
+from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLES
+from robots.robot import Robot
+from tasks import TASKS
+from tasks.pick import START_POSITION
+from toolkit.errors import ToolkitError
+from toolkit.morphology.posture import arm_joints, close_in_air, native_env, role_actuators, role_joints, start_of, target_at
+from toolkit.morphology.tree import KinematicTree, Screw
+
+UNLIMITED_ANGLE = 4 * np.pi
+"""Range [rad] given to a joint without limits: two turns either way, never reached in an episode."""
+UNLIMITED_LENGTH = 10.0
+"""Range given to a coupling without limits: joint angles times coefficients stay well below."""
+BASE_SITE = "robot0_right_center"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A joint of the merged tree with its link.
+
+    Attributes:
+        name: "arm1".. or a finger role.
+        parent: index of the parent slot, -1 for the world.
+        element: arm joint or finger to which the slot belongs; parameters are grouped by it.
+    """
+
+    name: str
+    parent: int
+    element: str
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A robot's joint in merged coordinates: angle 0 at the start posture, positive as in the source.
+
+    Attributes:
+        screw: joint and link at the start posture, world axes, axis already signed.
+        sign: +1 or -1: merged angle = sign * (robot's angle - start angle).
+        start: the robot's own angle at the start posture [rad].
+        mujoco_joint: id in the robot's native scene.
+        limits: (low, high) [rad], merged.
+        damping: [N m s/rad].  armature: [kg m^2].  friction_loss: [N m].  margin: limit margin [rad].
+        stiffness: position gain of its actuator [N m/rad], 0 without one.
+        force_limit: largest actuator torque [N m].
+        target_open, target_closed: merged position targets [rad] at closing command -1 and +1.
+        locked: True if the link is there but its joint is held still (inner knuckles of an equivalent linkage).
+    """
+
+    screw: Screw
+    sign: float
+    start: float
+    mujoco_joint: int
+    limits: tuple[float, float]
+    damping: float
+    armature: float
+    friction_loss: float
+    margin: float
+    stiffness: float = 0.0
+    force_limit: float = 0.0
+    target_open: float = 0.0
+    target_closed: float = 0.0
+    locked: bool = False
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A primitive collision geom of a gripper at the start posture.
+
+    Attributes:
+        slot: index of the slot whose link carries it.
+        kind: mjtGeom.
+        position: (3,) [m], world.  rotation: (3, 3), geom to world.  size: (3,) [m] as MuJoCo's geom_size.
+        friction: (3,).  solref: (2,).  condim: contact dimensionality.  margin: [m].
+    """
+
+    slot: int
+    kind: int
+    position: np.ndarray
+    rotation: np.ndarray
+    size: np.ndarray
+    friction: np.ndarray
+    solref: np.ndarray
+    condim: int
+    margin: float
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A fixed tendon between joints of one finger, in merged angles.
+
+    Attributes:
+        coefficients: slot index -> coefficient.
+        stiffness: [N/m].  rest: spring length, merged [m].  limits: (low, high) [m], merged.  friction_loss: [N].
+        held: whether an equality constraint holds its length.  held_length: at this merged length [m].
+    """
+
+    coefficients: dict[int, float]
+    stiffness: float
+    rest: float
+    limits: tuple[float, float]
+    friction_loss: float
+    held: bool
+    held_length: float
+
+
+@dataclass(frozen=True)
+class System:
+    """One robot in the merged tree's slots.
+
+    Attributes:
+        robot: its card.
+        joints: one per slot, None where the robot has none.
+        shapes: primitive collision geoms of the gripper, in MuJoCo's order.
+        couplings: fixed tendons of the gripper.
+        torque_limits: (n_arm,) [N m].
+        base_follows: 1 if the OSC base frame turns with joint 1 (KUKA's site sits on link 1), else 0.
+        base_position: origin of the OSC base frame at the start [m].
+    """
+
+    robot: Robot
+    joints: tuple[Joint | None, ...]
+    shapes: tuple[Shape, ...]
+    couplings: tuple[Coupling, ...]
+    torque_limits: np.ndarray
+    base_follows: float
+    base_position: np.ndarray
+
+    def present(self, slot: int) -> bool:
+        """Whether the robot has the slot's joint."""
+        return self.joints[slot] is not None
+
+
+@dataclass(frozen=True)
+class Matching:
+    """The merged tree with every robot in it; robot 0 is the source."""
+
+    slots: tuple[Slot, ...]
+    systems: tuple[System, ...]
+    arm_size: int
+    dropped_meshes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Robot names, the source first."""
+        return [system.robot.name for system in self.systems]
+
+
+def merged_slots(arm_size: int) -> tuple[Slot, ...]:
+    """Slots of the merged tree: the arm's joints in order, then the finger roles on the flange."""
+    slots = [Slot(f"arm{i + 1}", i - 1, f"arm{i + 1}") for i in range(arm_size)]
+    index = {None: arm_size - 1}
+    for role in ROLES:
+        index[role] = len(slots)
+        slots.append(Slot(role, index[ROLE_PARENT[role]], role[:2]))
+    return tuple(slots)
+
+
+def _signed(screw: Screw, reference: np.ndarray | None, closing: float) -> tuple[Screw, float]:
+    """The screw with its axis turned so that closing is positive; a joint that does not close follows the reference."""
+    sign = -1.0 if reference is not None and screw.axis @ reference < 0 else 1.0
+    sign = float(np.sign(closing)) if closing else sign
+    return replace(screw, axis=sign * screw.axis), sign
+
+
+def _joint(model: mujoco.MjModel, joint: int, screw: Screw, sign: float, start: float) -> Joint:
+    dof = model.jnt_dofadr[joint]
+    limits = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
+    if model.jnt_limited[joint]:
+        limits = tuple(sorted(sign * (model.jnt_range[joint] - start)))
+    return Joint(
+        screw, sign, start, joint, limits, float(model.dof_damping[dof]), float(model.dof_armature[dof]),
+        float(model.dof_frictionloss[dof]), float(model.jnt_margin[joint]),
+    )  # fmt: skip
+
+
+def _drive(model: mujoco.MjModel, actuator: int, joint: Joint, targets: tuple[float, float]) -> Joint:
+    """The joint with its position actuator."""
+    gain = float(model.actuator_gainprm[actuator, 0])
+    low, high = model.actuator_ctrlrange[actuator]
+    unlimited = gain * float(high - low) * 2.0  # more than the servo can ask for within its range
+    limit = float(model.actuator_forcerange[actuator, 1]) if model.actuator_forcelimited[actuator] else unlimited
+    opened, closed = (joint.sign * (target - joint.start) for target in targets)
+    return replace(joint, stiffness=gain, force_limit=limit, target_open=opened, target_closed=closed)
+
+
+def _shapes(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int]) -> tuple[tuple[Shape, ...], int]:
+    """Primitive collision geoms of the gripper, and how many meshes were left out."""
+    shapes, meshes = [], 0
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if not model.geom(geom).name.startswith("gripper0_") or not (model.geom_contype[geom] | model.geom_conaffinity[geom]):
+            continue
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            meshes += 1
+            continue
+        shapes.append(
+            Shape(
+                carrier[body], int(model.geom_type[geom]), np.array(data.geom_xpos[geom]),
+                np.array(data.geom_xmat[geom]).reshape(3, 3), np.array(model.geom_size[geom]),
+                np.array(model.geom_friction[geom]), np.array(model.geom_solref[geom]), int(model.geom_condim[geom]),
+                float(model.geom_margin[geom]),
+            )
+        )  # fmt: skip
+    return tuple(shapes), meshes
+
+
+def _couplings(model: mujoco.MjModel, slot_of: dict[int, int], joints: Sequence[Joint | None]) -> tuple[Coupling, ...]:
+    out = []
+    held = {int(model.eq_obj1id[e]): e for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_TENDON}
+    for tendon in range(model.ntendon):
+        first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+        start_length, coefficients = 0.0, {}
+        for wrap in range(first, first + count):
+            slot = slot_of[int(model.wrap_objid[wrap])]
+            coefficient = float(model.wrap_prm[wrap])
+            start_length += coefficient * joints[slot].start
+            coefficients[slot] = coefficient * joints[slot].sign
+        low, high = model.tendon_range[tendon] if model.tendon_limited[tendon] else (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
+        rest = float(model.tendon_lengthspring[tendon, 0])
+        equality = held.get(tendon)
+        length = float(model.tendon_length0[tendon]) + (float(model.eq_data[equality, 0]) if equality is not None else 0.0)
+        out.append(
+            Coupling(
+                coefficients, float(model.tendon_stiffness[tendon]), rest - start_length,
+                (float(low) - start_length, float(high) - start_length), float(model.tendon_frictionloss[tendon]),
+                equality is not None, length - start_length,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _equivalent_linkage(
+    model: mujoco.MjModel, start: np.ndarray, robot: Robot, joints: list[Joint | None], index: dict[str, int]
+) -> tuple[Coupling, ...]:
+    """Replace a four-bar gripper's linkages by geared open chains; edits ``joints``, returns the couplings.
+
+    The gear is the least-squares slope of the pad joint over the driven one while the gripper closes in free air; the
+    damping is what turns the servo's lag into the speed then seen.
+    """
+    closing = close_in_air(model, start, robot)
+    out = []
+    for driven in robot.gripper.targets:
+        pad = driven[:2] + "J1"
+        knuckle = driven[:2] + "K"
+        a, b = joints[index[driven]], joints[index[pad]]
+        x = a.sign * (closing.angles[driven] - a.start)
+        y = b.sign * (closing.angles[pad] - b.start)
+        gear = float(x @ y / (x @ x))
+        lag = a.stiffness * a.sign * (closing.targets[driven] - closing.angles[driven])
+        speed = a.sign * closing.speeds[driven]
+        damping = float(lag @ speed / (speed @ speed))
+        joints[index[driven]] = replace(a, damping=damping)
+        joints[index[knuckle]] = replace(joints[index[knuckle]], locked=True)
+        out.append(
+            Coupling({index[driven]: -gear, index[pad]: 1.0}, 0.0, 0.0, (-UNLIMITED_LENGTH, UNLIMITED_LENGTH), 0.0, True, 0.0)
+        )
+    return tuple(out)
+
+
+def _carriers(model: mujoco.MjModel, slot_of: dict[int, int], flange_slot: int) -> dict[int, int]:
+    """Body id -> slot of the nearest joint above it (the flange for bodies fixed to the arm's last link)."""
+    carrier: dict[int, int] = {}
+    for body in range(1, model.nbody):
+        joint = int(model.body_jntadr[body])
+        inherited = carrier.get(int(model.body_parentid[body]), flange_slot)
+        carrier[body] = slot_of.get(joint, inherited) if joint >= 0 else inherited
+    return carrier
+
+
+def read_system(robot: Robot, slots: Sequence[Slot], axes: dict[int, np.ndarray]) -> tuple[System, int]:
+    """A robot's screws, limits, actuators, shapes and couplings at its start posture.
+
+    Args:
+        robot: the card.
+        slots: the merged tree.
+        axes: slot -> axis that fixes the sign; axes of slots met for the first time are added.
+
+    Returns:
+        the system; the number of collision meshes of its gripper that the merged robot leaves out.
+
+    Raises:
+        ToolkitError: the arm has another number of joints than the merged tree.
+    """
+    env = native_env(robot, TASKS["061_foam_brick"])
+    env.begin(0)
+    model, data = env.sim.model._model, env.sim.data._data
+    mujoco.mj_forward(model, data)
+    arm = arm_joints(model)
+    arm_size = sum(slot.name.startswith("arm") for slot in slots)
+    if len(arm) != arm_size:
+        raise ToolkitError(f"robot {robot.name}: its arm has {len(arm)} joints, the merged tree {arm_size}")
+    index = {slot.name: i for i, slot in enumerate(slots)}
+    slot_of = {joint: i for i, joint in enumerate(arm)}
+    slot_of |= {joint: index[role] for role, joint in role_joints(model, robot).items()}
+    tree = KinematicTree(model, "robot0_base")
+    joints: list[Joint | None] = [None] * len(slots)
+    for joint, screw in zip(tree.joints, tree.screws(data.qpos), strict=True):
+        if joint not in slot_of:
+            raise ToolkitError(f"gripper {robot.gripper.name}: joint {model.joint(joint).name!r} has no role")
+        slot = slot_of[joint]
+        opened, closed = robot.gripper.targets.get(slots[slot].name, (0.0, 0.0))
+        screw, sign = _signed(screw, axes.get(slot), closed - opened)
+        axes.setdefault(slot, screw.axis)
+        joints[slot] = _joint(model, joint, screw, sign, float(data.qpos[model.jnt_qposadr[joint]]))
+    for role, actuator in role_actuators(model, robot).items():
+        targets = (target_at(robot, role, -1.0), target_at(robot, role, 1.0))
+        joints[index[role]] = _drive(model, actuator, joints[index[role]], targets)
+    shapes, meshes = _shapes(model, data, _carriers(model, slot_of, arm_size - 1))
+    site = model.site(BASE_SITE)
+    if not np.allclose(data.site_xmat[site.id], np.eye(3).ravel(), atol=1e-4):
+        raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")
+    follows = float(slot_of.get(int(model.body_jntadr[model.site_bodyid[site.id]]), -1) == 0)
+    couplings = _couplings(model, slot_of, joints)
+    if robot.gripper.four_bar:
+        couplings = _equivalent_linkage(model, np.array(data.qpos), robot, joints, index)
+    system = System(
+        robot, tuple(joints), shapes, couplings,
+        np.array([model.actuator_ctrlrange[a, 1] for a in range(arm_size)]), follows,
+        np.array(data.site_xpos[site.id]),
+    )  # fmt: skip
+    return system, meshes
+
+
+def finger_signs(robot: Robot) -> dict[str, float]:
+    """Role -> sign of the robot's joint angle in the merged robot (see Joint.sign), with ADROIT as the reference."""
+    return dict(_finger_signs(robot))
+
+
+@lru_cache(maxsize=32)
+def _finger_signs(robot: Robot) -> tuple[tuple[str, float], ...]:
+    from robots import ROBOTS  # the reference hand only fixes signs of joints that do not close
+
+    reference = next(r for r in ROBOTS.values() if r.source_of_policy)
+    slots = merged_slots(len(robot.posture_seed))
+    axes: dict[int, np.ndarray] = {}
+    read_system(reference, slots, axes)
+    system, _ = read_system(robot, slots, axes)
+    return tuple((slots[i].name, joint.sign) for i, joint in enumerate(system.joints) if joint is not None)
+
+
+def match(robots: Sequence[Robot]) -> Matching:
+    """The merged tree of several robots, the source first.
+
+    Raises:
+        ToolkitError: fewer than two robots, or one named twice.
+    """
+    names = [robot.name for robot in robots]
+    if len(robots) < 2 or len(set(names)) != len(names):
+        raise ToolkitError(f"a merged tree needs at least two different robots; got {', '.join(names) or 'none'}")
+    slots = merged_slots(len(robots[0].posture_seed))
+    axes: dict[int, np.ndarray] = {}
+    read = [read_system(robot, slots, axes) for robot in robots]
+    return Matching(
+        slots, tuple(system for system, _ in read), len(robots[0].posture_seed),
+        {robot.name: meshes for robot, (_, meshes) in zip(robots, read, strict=True)},
+    )  # fmt: skip
+
+
+__all__ = ["COMMANDED_ROLES", "START_POSITION", "Matching", "Slot", "System", "match", "start_of"]

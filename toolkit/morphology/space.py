@@ -1,0 +1,419 @@
+"""The evolution space: every robot as a vector theta of named physical parameters, and alpha in [0, 1]^D.
+
+Parameters that differ between the robots are the space. Within one element (an arm joint or a finger with its links),
+parameters whose normalised values agree on every robot move together as one dimension of alpha; this is how the paper
+comes to 65 and 105 independent parameters. What a robot lacks is absent: no mass, no size, frozen; an absent element
+borrows the geometry of the robots that have it, so that only its presence changes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolkit.errors import ToolkitError
+from toolkit.morphology.matching import UNLIMITED_LENGTH, Coupling, Matching, Shape, System
+
+FROZEN_STIFFNESS = 200.0
+"""Spring [N m/rad] that holds a frozen joint: 0.1 N m at a fingertip moves it by half a milliradian."""
+FROZEN_ARMATURE = 0.1
+"""Armature [kg m^2] of a frozen joint: keeps the mass matrix regular when its link has no mass; with the spring, 45 rad/s."""
+FROZEN_DAMPING = 2.0 * np.sqrt(FROZEN_STIFFNESS * FROZEN_ARMATURE)
+"""Damping [N m s/rad]: critical."""
+FREEZE_DECADES = 4.0
+"""A joint stiffens over this many decades as its ``freeze`` goes from 0 to 1, so that it fades out before it locks."""
+HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
+"""log10 of the command gain: a hand tracks its targets; robosuite's grippers take the sign of the action, which a gain of
+1000 reproduces for every action above rate/1000."""
+HAND_RATE = 2.0
+"""Command change per policy step [command/step] of a hand: the whole range at once."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A named array of parameters: one row per item (slot, shape, coupling, ...), one column per component.
+
+    Attributes:
+        name: of the quantity.
+        items: name of each row.
+        elements: arm joint, finger or "gripper" that each row belongs to.
+        components: name of each column ("" for a single one).
+        unit: of every component.
+        values: (n_robots, rows, columns).
+    """
+
+    name: str
+    items: tuple[str, ...]
+    elements: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One entry of theta that differs between robots.
+
+    Attributes:
+        name: "item.quantity.component".
+        unit: of its value.
+        element: what it belongs to.
+        dimension: index of the dimension of alpha that moves it.
+        flipped: True if theta falls as that alpha rises.
+        low, high: bounds over the robots.
+        values: (n_robots,).
+    """
+
+    name: str
+    unit: str
+    element: str
+    dimension: int
+    flipped: bool
+    low: float
+    high: float
+    values: np.ndarray
+
+
+def gyration(mass: float, inertia: np.ndarray) -> np.ndarray:
+    """Square root (6,) [m] of a link's second moment of mass per unit mass: entries xx, yy, zz, xy, xz, yz.
+
+    The second moment is tr(I)/2 - I (Wensing, Kim and Slotine 2018); interpolating its square root keeps every
+    in-between inertia physically consistent, whatever the entries.
+    """
+    moment = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / max(mass, 1e-12)
+    values, vectors = np.linalg.eigh(moment)
+    root = vectors @ np.diag(np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
+    return root[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def inertia_from_gyration(mass: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Inertias (n, 3, 3) [kg m^2] about the centre of mass from masses (n,) and gyration entries (n, 6)."""
+    matrix = root[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
+    moment = mass[:, None, None] * (matrix @ matrix)
+    trace = np.trace(moment, axis1=1, axis2=2)
+    return trace[:, None, None] * np.eye(3) - moment
+
+
+def tangent_basis(reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors orthogonal to the unit vector ``reference`` (3,) and to each other."""
+    helper = np.eye(3)[np.argmin(np.abs(reference))]
+    first = np.cross(reference, helper)
+    first /= np.linalg.norm(first)
+    return first, np.cross(reference, first)
+
+
+def axis_to_tangent(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Logarithm (2,) [rad] of a direction on the sphere at ``reference``; every tangent maps back to a direction."""
+    first, second = tangent_basis(reference)
+    angle = np.arctan2(np.linalg.norm(np.cross(reference, axis)), reference @ axis)
+    flat = np.array([first @ axis, second @ axis])
+    norm = np.linalg.norm(flat)
+    return angle * flat / norm if norm > 0 else np.array([angle, 0.0])
+
+
+def tangents_to_axes(tangents: np.ndarray, references: np.ndarray, bases: np.ndarray) -> np.ndarray:
+    """Directions (n, 3) from tangents (n, 2) [rad] at references (n, 3), whose tangent bases are (n, 2, 3)."""
+    angle = np.linalg.norm(tangents, axis=1, keepdims=True)
+    flat = np.einsum("nk,nkd->nd", tangents, bases)
+    return np.cos(angle) * references + np.sinc(angle / np.pi) * flat
+
+
+def _borrowed(rows: list[np.ndarray | None]) -> np.ndarray:
+    """Values (n_robots, columns) of one item: who lacks it takes the source's, or the median of those who have it."""
+    owned = [row for row in rows if row is not None]
+    if not owned:
+        raise ToolkitError("an item of the merged robot is owned by no robot")
+    fallback = rows[0] if rows[0] is not None else np.median(owned, axis=0)
+    return np.array([fallback if row is None else row for row in rows])
+
+
+@dataclass(frozen=True)
+class ShapeSlot:
+    """A collision geom of the merged robot: the n-th of its kind on a link.
+
+    Attributes:
+        slot: index of the link's slot.  kind: mjtGeom.  name: unique.  condim: the largest of its owners'.
+        reference: rotation (3, 3) from which its rotation vector counts.  owners: the robots' shapes, None if absent.
+    """
+
+    slot: int
+    kind: int
+    name: str
+    condim: int
+    reference: np.ndarray
+    owners: tuple[Shape | None, ...]
+
+
+def _shape_slots(matching: Matching) -> list[ShapeSlot]:
+    table: dict[tuple[int, int, int], list[Shape | None]] = {}
+    count = len(matching.systems)
+    for robot, system in enumerate(matching.systems):
+        seen: dict[tuple[int, int], int] = {}
+        for shape in system.shapes:
+            ordinal = seen.get((shape.slot, shape.kind), 0)
+            seen[shape.slot, shape.kind] = ordinal + 1
+            table.setdefault((shape.slot, shape.kind, ordinal), [None] * count)[robot] = shape
+    out = []
+    for (slot, kind, ordinal), owners in sorted(table.items()):
+        first = next(shape for shape in owners if shape is not None)
+        label = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
+        name = f"{matching.slots[slot].name}/{label}{ordinal}"
+        condim = max(shape.condim for shape in owners if shape is not None)
+        out.append(ShapeSlot(slot, kind, name, condim, first.rotation, tuple(owners)))
+    return out
+
+
+@dataclass(frozen=True)
+class CouplingSlot:
+    """A fixed tendon of the merged robot; ``slots`` are the joints that any owner's tendon touches."""
+
+    name: str
+    element: str
+    slots: tuple[int, ...]
+    owners: tuple[Coupling | None, ...]
+
+
+def _coupling_slots(matching: Matching) -> list[CouplingSlot]:
+    """Tendons that start at the same finger's driven joint match; inner-knuckle tendons match among themselves."""
+    table: dict[tuple[str, bool], list[Coupling | None]] = {}
+    count = len(matching.systems)
+    for robot, system in enumerate(matching.systems):
+        for coupling in system.couplings:
+            names = [matching.slots[slot].name for slot in coupling.coefficients]
+            key = (names[0][:2], any(name.endswith(("J2", "J3")) for name in names))
+            table.setdefault(key, [None] * count)[robot] = coupling
+    out = []
+    for (finger, driven), owners in sorted(table.items()):
+        slots = sorted({slot for owner in owners if owner for slot in owner.coefficients})
+        out.append(CouplingSlot(f"{finger}/{'drive' if driven else 'knuckle'}", finger, tuple(slots), tuple(owners)))
+    return out
+
+
+class EvolutionSpace:
+    """Named parameters of a set of robots and the map alpha -> theta.
+
+    Args:
+        matching: the merged tree; robot 0 is the source.
+
+    Attributes:
+        fields: all parameter arrays, differing or not.
+        parameters: the entries that differ, in a fixed order.
+        size: D, the number of dimensions of alpha.
+        betas: (n_robots, D), the robots' own alphas.
+    """
+
+    def __init__(self, matching: Matching) -> None:
+        self.matching = matching
+        self.shape_slots = _shape_slots(matching)
+        self.coupling_slots = _coupling_slots(matching)
+        self.axis_references = self._axis_references()
+        self.axis_bases = np.array([tangent_basis(reference) for reference in self.axis_references])
+        self.fields = {f.name: f for f in self._fields()}
+        self._thetas = {name: f.values for name, f in self.fields.items()}
+        self.parameters = self._parameters()
+        self.size = 1 + max(p.dimension for p in self.parameters)
+        self.betas = np.empty((len(matching.systems), self.size))
+        for p in self.parameters:
+            normalised = (p.values - p.low) / (p.high - p.low)
+            self.betas[:, p.dimension] = 1.0 - normalised if p.flipped else normalised
+        self._low = np.array([p.low for p in self.parameters])
+        self._span = np.array([p.high - p.low for p in self.parameters])
+        self._dimension = np.array([p.dimension for p in self.parameters])
+        self._flipped = np.array([p.flipped for p in self.parameters])
+        self._flat = np.concatenate([f.values[0].ravel() for f in self.fields.values()])
+
+    # ---- what the parameters are -------------------------------------------------------------------------------
+
+    def _axis_references(self) -> np.ndarray:
+        """(n_slots, 3): direction halfway between the robots' axes, at which axis tangents are taken."""
+        out = []
+        for index in range(len(self.matching.slots)):
+            axes = [s.joints[index].screw.axis for s in self.matching.systems if s.joints[index] is not None]
+            mean = np.sum(np.unique(np.round(axes, 6), axis=0), axis=0) if axes else np.array([0.0, 0.0, 1.0])
+            out.append(mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else axes[0])
+        return np.array(out)
+
+    def _slot_field(
+        self, name: str, unit: str, components: Sequence[str], get: Callable, absent: Sequence[float] | None = None
+    ) -> Field:
+        """A field over the slots: ``get(joint, slot)`` where present; absent joints read ``absent`` or borrow."""
+        rows = []
+        for index in range(len(self.matching.slots)):
+            owned = [None if s.joints[index] is None else np.atleast_1d(get(s.joints[index], index)).astype(float)
+                     for s in self.matching.systems]  # fmt: skip
+            if absent is not None:
+                rows.append(np.array([np.array(absent, float) if row is None else row for row in owned]))
+            elif all(row is None for row in owned):
+                rows.append(np.zeros((len(owned), len(components))))
+            else:
+                rows.append(_borrowed(owned))
+        slots = self.matching.slots
+        return Field(name, tuple(s.name for s in slots), tuple(s.element for s in slots), tuple(components), unit,
+                     np.stack(rows, axis=1))  # fmt: skip
+
+    def _fields(self) -> list[Field]:
+        return [*self._joint_fields(), *self._shape_fields(), *self._coupling_fields(), *self._control_fields()]
+
+    def _joint_fields(self) -> list[Field]:
+        xyz = ("x", "y", "z")
+        root = ("xx", "yy", "zz", "xy", "xz", "yz")
+        references = self.axis_references
+        slot_field = self._slot_field
+        return [
+            slot_field("anchor", "m", xyz, lambda j, i: j.screw.anchor),
+            slot_field("axis", "rad", ("u", "v"), lambda j, i: axis_to_tangent(j.screw.axis, references[i])),
+            slot_field("mass", "kg", ("",), lambda j, i: j.screw.mass, absent=[0.0]),
+            slot_field("com", "m", xyz, lambda j, i: j.screw.com),
+            slot_field("gyration", "m", root, lambda j, i: gyration(j.screw.mass, j.screw.inertia)),
+            slot_field("freeze", "1", ("",), lambda j, i: float(j.locked), absent=[1.0]),
+            slot_field("limits", "rad", ("low", "high"), lambda j, i: j.limits),
+            slot_field("damping", "N m s/rad", ("",), lambda j, i: j.damping),
+            slot_field("armature", "kg m^2", ("",), lambda j, i: j.armature),
+            slot_field("friction_loss", "N m", ("",), lambda j, i: j.friction_loss, absent=[0.0]),
+            slot_field("limit_margin", "rad", ("",), lambda j, i: j.margin),
+            slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
+            slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit, absent=[0.0]),
+            slot_field("target", "rad", ("open", "closed"), lambda j, i: (j.target_open, j.target_closed),
+                       absent=[0.0, 0.0]),
+        ]  # fmt: skip
+
+    def _item_field(self, name: str, unit: str, components: Sequence[str], items: Sequence, get: Callable,
+                    absent: float | tuple[float, ...] | None = None) -> Field:  # fmt: skip
+        """A field over shape or coupling slots."""
+        rows = []
+        for item in items:
+            owned = [None if owner is None else np.atleast_1d(get(owner, item)).astype(float) for owner in item.owners]
+            if absent is not None:
+                owned = [np.zeros(len(components)) + absent if row is None else row for row in owned]
+            rows.append(_borrowed(owned))
+        elements = [item.element if isinstance(item, CouplingSlot) else self.matching.slots[item.slot].element for item in items]
+        values = np.stack(rows, axis=1) if rows else np.zeros((len(self.matching.systems), 0, len(components)))
+        return Field(name, tuple(item.name for item in items), tuple(elements), tuple(components), unit, values)
+
+    def _shape_fields(self) -> list[Field]:
+        shapes, xyz = self.shape_slots, ("x", "y", "z")
+        rotvec = lambda owner, item: Rotation.from_matrix(owner.rotation @ item.reference.T).as_rotvec()  # noqa: E731
+        return [
+            self._item_field("shape_position", "m", xyz, shapes, lambda o, _: o.position),
+            self._item_field("shape_rotation", "rad", xyz, shapes, rotvec),
+            self._item_field("shape_size", "m", xyz, shapes, lambda o, _: o.size),
+            self._item_field("shape_presence", "1", ("",), shapes, lambda o, _: 1.0, absent=0.0),
+            self._item_field("shape_friction", "1", ("slide", "spin", "roll"), shapes, lambda o, _: o.friction),
+            self._item_field("shape_solref", "s, 1", ("time", "damping"), shapes, lambda o, _: o.solref),
+            self._item_field("shape_margin", "m", ("",), shapes, lambda o, _: o.margin),
+        ]
+
+    def _coupling_fields(self) -> list[Field]:
+        couplings = self.coupling_slots
+        width = max((len(c.slots) for c in couplings), default=0)
+
+        def coefficients(owner: Coupling, item: CouplingSlot) -> np.ndarray:
+            return np.array([owner.coefficients.get(slot, 0.0) for slot in item.slots] + [0.0] * (width - len(item.slots)))
+
+        return [
+            self._item_field("coupling", "1", tuple(f"c{i}" for i in range(width)), couplings, coefficients),
+            self._item_field("coupling_stiffness", "N/m", ("",), couplings, lambda o, _: o.stiffness, absent=0.0),
+            self._item_field("coupling_rest", "m", ("",), couplings, lambda o, _: o.rest),
+            self._item_field("coupling_limits", "m", ("low", "high"), couplings, lambda o, _: o.limits,
+                             absent=(-UNLIMITED_LENGTH, UNLIMITED_LENGTH)),
+            self._item_field("coupling_friction", "N", ("",), couplings, lambda o, _: o.friction_loss, absent=0.0),
+            self._item_field("coupling_held", "1", ("",), couplings, lambda o, _: float(o.held), absent=0.0),
+            self._item_field("coupling_length", "m", ("",), couplings, lambda o, _: o.held_length),
+        ]  # fmt: skip
+
+    def _control_fields(self) -> list[Field]:
+        systems = self.matching.systems
+        grips = [s.robot.gripper for s in systems]
+        rates = [HAND_RATE if g.rate is None else g.rate for g in grips]
+        rows: list[tuple[str, str, str, list[float]]] = [
+            ("common", "1", "gripper", [float(g.rate is not None) for g in grips]),
+            ("log_gain", "1", "gripper", [HAND_LOG_GAIN if g.rate is None else GRIPPER_LOG_GAIN for g in grips]),
+            ("log_rate", "log10(command/step)", "gripper", list(np.log10(rates))),
+            ("leak", "1", "gripper", [float(g.rate is None) for g in grips]),
+            ("preshape", "command", "gripper", [g.preshape for g in grips]),
+            ("base_follows", "1", "arm1", [s.base_follows for s in systems]),
+        ]
+        out = [Field(name, (element,), (element,), ("",), unit, np.array(values)[:, None, None])
+               for name, unit, element, values in rows]  # fmt: skip
+        arm = tuple(f"arm{i + 1}" for i in range(self.matching.arm_size))
+        limits = np.array([s.torque_limits for s in systems])[:, :, None]
+        base = np.array([s.base_position for s in systems])[:, None, :]
+        out.append(Field("torque_limit", arm, arm, ("",), "N m", limits))
+        out.append(Field("base_position", ("arm1",), ("arm1",), ("x", "y", "z"), "m", base))
+        return out
+
+    # ---- dimensions --------------------------------------------------------------------------------------------
+
+    def _parameters(self) -> list[Parameter]:
+        """The differing entries, each with the dimension that moves it."""
+        dimensions: dict[tuple, int] = {}
+        out: list[Parameter] = []
+        self._positions: list[int] = []
+        offset = 0
+        for f in self.fields.values():
+            rows, columns = f.values.shape[1:]
+            for row in range(rows):
+                for column in range(columns):
+                    values = f.values[:, row, column]
+                    low, high = float(values.min()), float(values.max())
+                    if high - low > 1e-9 * max(1.0, abs(low), abs(high)):
+                        normalised = (values - low) / (high - low)
+                        flipped = bool(normalised[0] > 0.5)
+                        pattern = tuple(np.round(1.0 - normalised if flipped else normalised, 9))
+                        dimension = dimensions.setdefault((f.elements[row], pattern), len(dimensions))
+                        name = ".".join(part for part in (f.items[row], f.name, f.components[column]) if part)
+                        out.append(Parameter(name, f.unit, f.elements[row], dimension, flipped, low, high, values))
+                        self._positions.append(offset + row * columns + column)
+            offset += rows * columns
+        return out
+
+    def theta(self, alpha: np.ndarray) -> dict[str, np.ndarray]:
+        """Physical parameters at an evolution parameter (paper, section 3.2): field name -> (rows, columns).
+
+        Args:
+            alpha: (D,), each in [0, 1].
+
+        Raises:
+            ToolkitError: wrong size, not finite, or outside [0, 1].
+        """
+        alpha = self.checked(alpha)
+        a = alpha[self._dimension]
+        flat = self._flat.copy()
+        flat[self._positions] = self._low + np.where(self._flipped, 1.0 - a, a) * self._span
+        out, offset = {}, 0
+        for name, f in self.fields.items():
+            size = f.values[0].size
+            out[name] = flat[offset : offset + size].reshape(f.values.shape[1:])
+            offset += size
+        return out
+
+    def checked(self, alpha: np.ndarray) -> np.ndarray:
+        """``alpha`` as float64, refused if it is no point of the space."""
+        alpha = np.asarray(alpha, float)
+        if alpha.shape != (self.size,):
+            raise ToolkitError(f"alpha has shape {alpha.shape}; this evolution space has {self.size} dimensions")
+        if not np.all(np.isfinite(alpha)) or alpha.min() < 0 or alpha.max() > 1:
+            worst = int(np.argmax(np.where(np.isfinite(alpha), np.abs(alpha - 0.5), np.inf)))
+            raise ToolkitError(f"alpha[{worst}] = {alpha[worst]} lies outside [0, 1]")
+        return alpha
+
+    def beta(self, name: str) -> np.ndarray:
+        """Evolution parameter (D,) of a robot of the space, by name."""
+        names = self.matching.names
+        if name not in names:
+            raise ToolkitError(f"robot {name!r} is not in this evolution space; it has {', '.join(names)}")
+        return self.betas[names.index(name)].copy()
+
+    def describe(self) -> list[dict]:
+        """One record per parameter: name, unit, element, dimension and value per robot."""
+        names = self.matching.names
+        return [
+            {"name": p.name, "unit": p.unit, "element": p.element, "dimension": p.dimension, "low": p.low,
+             "high": p.high, "values": dict(zip(names, map(float, p.values), strict=True))}
+            for p in self.parameters
+        ]  # fmt: skip
+
+
+__all__ = ["EvolutionSpace", "Field", "Parameter", "System"]
