@@ -1,0 +1,350 @@
+"""A run folder `logs/<run>/`: everything needed to explain a run and to continue it.
+
+    config.json                what was asked for; --resume refuses any other
+    versions.json, git.json    what it ran on
+    metrics.jsonl              one JSON record per iteration
+    checkpoints/*.safetensors  tensors, and in the same file's header the rest of the state
+    report.json, summary.md    what came out
+
+Every file but metrics.jsonl appears whole or not at all; a torn last line of metrics.jsonl is dropped on resume.
+"""
+
+import json
+import math
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save as safetensors_bytes
+
+from toolkit.errors import ToolkitError
+
+RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba")
+BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
+ABSENT = "(absent)"
+
+
+class Run:
+    """One run folder. Make it with `Run.create` or `Run.open`.
+
+    Attributes:
+        path: the folder.
+        config: what the run was started with, as it reads back from JSON.
+    """
+
+    def __init__(self, path: Path, config: dict[str, Any]) -> None:
+        self.path = path
+        self.config = config
+
+    @classmethod
+    def create(cls, path: Path | str, config: dict[str, Any]) -> "Run":
+        """Start a run in a new or empty folder.
+
+        Args:
+            path: the folder; parents are made.
+            config: all that determines the run; JSON values, NumPy scalars and arrays, paths.
+
+        Raises:
+            ToolkitError: the folder holds files already, or cannot be written, or config is not JSON.
+        """
+        path = Path(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if any(path.iterdir()):
+                raise ToolkitError(f"run folder {path} exists; add --resume to continue it, or choose another --run")
+            (path / "checkpoints").mkdir()
+            write_atomically(path / "config.json", _json_bytes(config, "config"))
+            write_atomically(path / "versions.json", _json_bytes(_versions(), "versions"))
+            write_atomically(path / "git.json", _json_bytes(_git_state(), "git"))
+        except (FileExistsError, NotADirectoryError):
+            raise ToolkitError(f"run folder {path} is a file or lies below one; choose another --run") from None
+        except OSError as error:
+            raise _unwritable(path, error) from None
+        return cls(path, _plain(config))
+
+    @classmethod
+    def open(cls, path: Path | str, config: dict[str, Any] | None = None) -> "Run":
+        """Continue a run; a torn last line of its metrics is dropped from the file.
+
+        Args:
+            path: the folder of an earlier run.
+            config: if given, it must equal the stored one.
+
+        Raises:
+            ToolkitError: no such run, a broken config.json or metrics.jsonl, another config, or not writable.
+        """
+        path = Path(path)
+        if not path.is_dir():
+            raise ToolkitError(f"run folder {path} does not exist; leave out --resume to start it")
+        stored = _read_json_object(path / "config.json", "start the run again under another --run")
+        if config is not None:
+            for key, old, new in _differences(stored, _plain(config)):
+                raise ToolkitError(
+                    f"run {path} was started with {key} = {old}, not {new}; give the same {key}, or choose another --run"
+                )
+        run = cls(path, stored)
+        run._write_metrics(run.read_metrics())
+        return run
+
+    def append_metrics(self, record: dict[str, Any]) -> None:
+        """Add one line to metrics.jsonl, on disk when this returns. NaN and infinities are written as null."""
+        line = json.dumps(_finite(_plain(record)), allow_nan=False) + "\n"
+        try:
+            with open(self.path / "metrics.jsonl", "ab") as file:
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise _unwritable(self.path, error) from None
+
+    def read_metrics(self) -> list[dict[str, Any]]:
+        """All whole records of metrics.jsonl, oldest first.
+
+        Raises:
+            ToolkitError: a line other than a torn last one is not a JSON object.
+        """
+        file = self.path / "metrics.jsonl"
+        if not file.exists():
+            return []
+        *whole, _torn = file.read_bytes().split(b"\n")
+        records = []
+        for number, line in enumerate(whole, start=1):
+            try:
+                record = json.loads(line)
+            except ValueError:
+                record = None
+            if not isinstance(record, dict):
+                raise ToolkitError(f"{file} line {number} is not a JSON record; delete that line")
+            records.append(record)
+        return records
+
+    def truncate_metrics(self, count: int) -> None:
+        """Keep the first `count` records, so that a resumed run writes the same file as an unbroken one.
+
+        Args:
+            count: how many records had been written when the checkpoint was saved.
+
+        Raises:
+            ToolkitError: the file holds fewer records than that.
+        """
+        records = self.read_metrics()
+        if len(records) < count:
+            raise ToolkitError(
+                f"{self.path / 'metrics.jsonl'} holds {len(records)} records but the checkpoint was saved after {count}; "
+                "resume from an earlier checkpoint, or start again under another --run"
+            )
+        self._write_metrics(records[:count])
+
+    def save_checkpoint(self, name: str, tensors: dict[str, np.ndarray], state: dict[str, Any]) -> Path:
+        """Save tensors and state as one file, whole or not at all, whenever the process is killed.
+
+        Args:
+            name: letters, digits, ".", "_" and "-"; an existing checkpoint of this name is replaced.
+            tensors: numeric arrays of any shape.
+            state: JSON values; NaN survives. See `generator_state` for random generators.
+
+        Returns:
+            checkpoints/<name>.safetensors
+
+        Raises:
+            ToolkitError: a bad name, state that is not JSON, or the folder cannot be written.
+        """
+        file = self._checkpoint_file(name)
+        arrays = {key: np.asarray(tensor, order="C") for key, tensor in tensors.items()}
+        header = {"state": _json_bytes(state, "checkpoint state").decode()}
+        try:
+            file.parent.mkdir(exist_ok=True)
+            write_atomically(file, safetensors_bytes(arrays, metadata=header))
+        except OSError as error:
+            raise _unwritable(file, error) from None
+        return file
+
+    def load_checkpoint(self, name: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """The tensors and the state that `save_checkpoint` was given.
+
+        Raises:
+            ToolkitError: no such checkpoint, a truncated file, or one that this toolkit did not write.
+        """
+        file = self._checkpoint_file(name)
+        if not file.is_file():
+            known = ", ".join(self.checkpoints()) or "none"
+            raise ToolkitError(f"checkpoint {file} does not exist; this run has: {known}")
+        mend = "delete it and resume from another checkpoint"
+        try:
+            with safe_open(file, framework="np") as opened:
+                header = opened.metadata() or {}
+                tensors = {key: opened.get_tensor(key) for key in opened.keys()}
+            state = json.loads(header["state"])
+        except (KeyError, ValueError):
+            raise ToolkitError(f"checkpoint {file} carries no run state, so it is not ours; {mend}") from None
+        except (SafetensorError, OSError) as error:
+            raise ToolkitError(f"checkpoint {file} is truncated or damaged ({error}); {mend}") from None
+        return tensors, state
+
+    def checkpoints(self) -> list[str]:
+        """Names of the checkpoints, sorted."""
+        return sorted(file.name.removesuffix(".safetensors") for file in self.path.glob("checkpoints/[!.]*.safetensors"))
+
+    def write_report(self, report: dict[str, Any]) -> None:
+        """Write report.json. NaN and infinities are written as null."""
+        self._write("report.json", _json_bytes(_finite(_plain(report)), "report"))
+
+    def write_summary(self, text: str) -> None:
+        """Write summary.md [Markdown]."""
+        self._write("summary.md", text.encode())
+
+    def _write(self, name: str, data: bytes) -> None:
+        try:
+            write_atomically(self.path / name, data)
+        except OSError as error:
+            raise _unwritable(self.path, error) from None
+
+    def _write_metrics(self, records: list[dict[str, Any]]) -> None:
+        data = "".join(json.dumps(record) + "\n" for record in records).encode()
+        file = self.path / "metrics.jsonl"
+        if (file.read_bytes() if file.exists() else b"") != data:
+            self._write(file.name, data)
+
+    def _checkpoint_file(self, name: str) -> Path:
+        if not re.fullmatch(r"\w[\w.-]*", name):
+            raise ToolkitError(f"checkpoint name {name!r} is not a plain file name; use letters, digits, '.', '_' and '-'")
+        return self.path / "checkpoints" / f"{name}.safetensors"
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Replace `path` by `data`: a reader sees the old file or the new one, even after a power cut.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+    if os.name == "posix":  # the rename itself is durable only once the folder is synced; Windows cannot open folders
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def generator_state(generator: np.random.Generator) -> dict[str, Any]:
+    """The exact state of a random generator as JSON values."""
+    return _plain(generator.bit_generator.state)
+
+
+def generator_from_state(state: dict[str, Any]) -> np.random.Generator:
+    """A generator that continues where `generator_state` was taken.
+
+    Raises:
+        ToolkitError: not the state of one of NumPy's generators.
+    """
+    name = state.get("bit_generator")
+    if name not in BIT_GENERATORS:
+        raise ToolkitError(f"random generator {name!r} is unknown; it must be one of {', '.join(BIT_GENERATORS)}")
+    bits = getattr(np.random, name)()
+    try:
+        bits.state = _like(state, bits.state)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ToolkitError(f"the saved state of random generator {name} is damaged ({error}); use another checkpoint") from None
+    return np.random.Generator(bits)
+
+
+def _like(value: Any, example: Any) -> Any:
+    """`value` from JSON with lists turned back into arrays of the example's dtype."""
+    if isinstance(example, dict):
+        return {key: _like(value[key], example[key]) for key in example}
+    if isinstance(example, np.ndarray):
+        return np.array(value, dtype=example.dtype)
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON reads it back: tuples and arrays as lists, NumPy scalars as Python's, paths as text."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def _finite(value: Any) -> Any:
+    """The plain value with NaN and infinities as None, which strict JSON readers need."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _json_bytes(value: Any, what: str) -> bytes:
+    try:
+        return (json.dumps(_plain(value), indent=2) + "\n").encode()
+    except (TypeError, ValueError) as error:
+        raise ToolkitError(f"{what} cannot be stored as JSON ({error}); use numbers, text, lists and dictionaries") from None
+
+
+def _read_json_object(file: Path, mend: str) -> dict[str, Any]:
+    try:
+        value = json.loads(file.read_bytes())
+    except FileNotFoundError:
+        raise ToolkitError(f"{file.parent} holds no {file.name}, so it is not a run folder; {mend}") from None
+    except (ValueError, OSError) as error:
+        raise ToolkitError(f"{file} is truncated or damaged ({error}); {mend}") from None
+    if not isinstance(value, dict):
+        raise ToolkitError(f"{file} holds no JSON object, so it is not ours; {mend}")
+    return value
+
+
+def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """(dotted key, old value, new value) wherever two JSON values differ."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for name in [*old, *(name for name in new if name not in old)]:
+            yield from _differences(old.get(name, ABSENT), new.get(name, ABSENT), f"{key}.{name}" if key else name)
+    elif old != new and json.dumps(old) != json.dumps(new):  # the second holds for NaN, which differs from itself
+        yield key, old, new
+
+
+def _unwritable(path: Path, error: OSError) -> ToolkitError:
+    return ToolkitError(f"{path} cannot be written ({error.strerror}); free space or permissions there, or choose another --run")
+
+
+def _versions() -> dict[str, str | None]:
+    """Versions of what determines a run's numbers; None where a package is absent. No host name, no path."""
+    versions: dict[str, str | None] = {"python": platform.python_version()}
+    for package in RECORDED_PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = None
+    return versions | {"platform": f"{platform.system()} {platform.machine()}"}
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Commit of the checkout that this file belongs to; None when installed or when git is not there."""
+
+    def git(*arguments: str) -> str:
+        answer = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), *arguments], capture_output=True, text=True, check=True, timeout=20
+        )
+        return answer.stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", Path(__file__).name)  # fails in another project's checkout around a venv
+        return {"commit": git("rev-parse", "HEAD"), "dirty": bool(git("status", "--porcelain"))}
+    except (OSError, subprocess.SubprocessError):
+        return None
