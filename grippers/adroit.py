@@ -23,15 +23,15 @@ from robosuite.models.grippers import GripperModel, register_gripper
 
 from grippers.gripper import COMMANDED_ROLES, Gripper
 
-BRACKET_HEIGHT = 0.095
-"""Distance [m] of the wrist's axis from the flange along the approach axis. Chosen so that the grasp frame lies 0.145 m
-from the flange, as robosuite's Robotiq 2F-85 has its own: arm postures of source and targets then agree."""
-GRASP_FRAME_IN_WRIST = np.array([0.007, -0.05, 0.104])
-"""Grasp frame origin [m] in the wrist body's axes: ADROIT's own S_grasp site (0.007, -0.05, 0.07) of the palm."""
+GRASP_FRAME_IN_WRIST = np.array([0.020, -0.037, 0.101])
+"""Grasp frame origin [m] in the wrist body's axes: where the object's centre lies in the grasp below, found with it."""
+GRASP_FRAME_IN_FLANGE = np.array([0.0, 0.0, 0.145])
+"""Grasp frame origin [m] in flange axes: where robosuite's Robotiq 2F-85 has its own, so that the arm postures of source
+and targets agree. The bracket is as long as that asks."""
 WRIST_IN_FLANGE_QUAT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Wrist axes in flange axes (w first): -90 degrees about x, so that the palm normal (-y) becomes the flange's z."""
 BRACKET_MASS = 0.1
-"""Mass [kg] of the bracket: a guess for an aluminium angle."""
+"""Mass [kg] of the bracket: a guess for an aluminium angle 0.1 m long."""
 
 
 def asset_path() -> Path:
@@ -101,19 +101,20 @@ def _body_element(body: "mujoco.MjsBody", welded: bool) -> ET.Element:
 def _mount_element(wrist: "mujoco.MjsBody") -> ET.Element:
     """Bracket with the wrist on it, the force sensor's site and robosuite's end-effector frame."""
     mount = ET.Element("body", name="adroit_mount", pos="0 0 0")
-    ET.SubElement(mount, "inertial", pos=_numbers([0, 0, BRACKET_HEIGHT / 2]), mass=_numbers(BRACKET_MASS),
-                  diaginertia=_numbers(BRACKET_MASS * np.array([1, 1, 0.25]) * BRACKET_HEIGHT**2 / 12))  # fmt: skip
+    ET.SubElement(mount, "inertial", pos=_numbers(GRASP_FRAME_IN_FLANGE / 2), mass=_numbers(BRACKET_MASS),
+                  diaginertia=_numbers(BRACKET_MASS * np.array([1, 1, 0.25]) * 0.1**2 / 12))  # fmt: skip
     ET.SubElement(mount, "site", name="ft_frame", pos="0 0 0", size="0.01", rgba="1 0 0 0", group="1")
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, WRIST_IN_FLANGE_QUAT)
-    wrist_in_flange = np.array([0.0, 0.0, BRACKET_HEIGHT + 0.05]) - rotation.reshape(3, 3) @ GRASP_FRAME_IN_WRIST
+    wrist_in_flange = GRASP_FRAME_IN_FLANGE - rotation.reshape(3, 3) @ GRASP_FRAME_IN_WRIST
     wrist_element = _body_element(wrist, welded=True)
     wrist_element.set("pos", _numbers(wrist_in_flange))
     wrist_element.set("quat", _numbers(WRIST_IN_FLANGE_QUAT))
     mount.append(wrist_element)
     # robosuite's grip sites have x along the closing axis: a quarter turn about the approach axis.
+    quarter_turn = np.array([np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
     eef = ET.SubElement(
-        mount, "body", name="eef", pos=_numbers([0, 0, BRACKET_HEIGHT + 0.05]), quat="0.7071067811865476 0 0 -0.7071067811865476"
+        mount, "body", name="eef", pos=_numbers(GRASP_FRAME_IN_FLANGE), quat=_numbers(quarter_turn)
     )  # fmt: skip
     for site, size, pos in (
         ("grip_site", "0.01", "0 0 0"),
@@ -193,7 +194,7 @@ def _finger(role_prefix: str, spread: float, flexion: tuple[tuple[float, float],
     return targets
 
 
-_FLEXION = ((0.57, 0.92), (0.08, 0.82), (0.26, 0.88))
+_FLEXION = ((0.111, 0.625), (0.0, 1.229), (0.032, 0.835))
 
 ADROIT = Gripper(
     name="adroit",
@@ -206,8 +207,8 @@ ADROIT = Gripper(
         | {"LFJ4": (0.0, 0.0)}
         | _finger("LF", 0.0, _FLEXION)
         | {
-            "THJ4": (0.60, 0.82), "THJ3": (0.46, 1.26), "THJ2": (0.12, -0.11),
-            "THJ1": (-0.39, 0.15), "THJ0": (-0.61, -0.46),
+            "THJ4": (-1, 0.257), "THJ3": (1.174, 1.3), "THJ2": (-0.001, 0.26),
+            "THJ1": (0.338, 0.52), "THJ0": (-0.703, -0.798),
         }
     ),
     rate=None,

@@ -24,7 +24,7 @@ ROLES: tuple[str, ...] = tuple(ROLE_PARENT)
 COMMANDED_ROLES: tuple[str, ...] = tuple(role for role in ROLES if not role.endswith("K"))
 """Roles that the policy commands: one action entry each, -1 open, +1 closed (robosuite's sign)."""
 
-CLOSING_ROLES: tuple[str, ...] = ("FFJ2", "FFJ1", "THJ3", "THJ1")
+CLOSING_ROLES: tuple[str, ...] = ("FFJ2", "FFJ1", "THJ4", "THJ1")
 """Roles whose mean command is the one closing command of a gripper: the flexion of index and thumb."""
 
 

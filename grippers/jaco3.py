@@ -8,9 +8,9 @@ JACO3 = Gripper(
     joints={
         "FFJ2": "joint_index", "FFJ1": "joint_index_distal",
         "RFJ2": "joint_pinky", "RFJ1": "joint_pinky_distal",
-        "THJ3": "joint_thumb", "THJ1": "joint_thumb_distal",
+        "THJ4": "joint_thumb", "THJ1": "joint_thumb_distal",
     },
-    targets={"FFJ2": (1.51, 0.0), "RFJ2": (1.51, 0.0), "THJ3": (1.51, 0.0)},
+    targets={"FFJ2": (1.51, 0.0), "RFJ2": (1.51, 0.0), "THJ4": (1.51, 0.0)},
     rate=0.01,
     preshape=-0.45,
     source="robosuite 1.5.1: jaco_three_finger_gripper.xml (ctrlrange; 0 is closed), JacoThreeFingerGripper.speed",

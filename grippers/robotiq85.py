@@ -7,9 +7,9 @@ ROBOTIQ85 = Gripper(
     robosuite_type="Robotiq85Gripper",
     joints={
         "FFJ2": "right_outer_knuckle_joint", "FFJ1": "right_inner_finger_joint", "FFK": "right_inner_knuckle_joint",
-        "THJ3": "finger_joint", "THJ1": "left_inner_finger_joint", "THK": "left_inner_knuckle_joint",
+        "THJ4": "finger_joint", "THJ1": "left_inner_finger_joint", "THK": "left_inner_knuckle_joint",
     },
-    targets={"FFJ2": (0.0, 0.8), "THJ3": (0.0, 0.8)},
+    targets={"FFJ2": (0.0, 0.8), "THJ4": (0.0, 0.8)},
     rate=0.2,
     preshape=-1.0,
     four_bar=True,

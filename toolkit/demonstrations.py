@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grippers.gripper import COMMANDED_ROLES
 from tasks.pick import ACTION_SIZE, OBSERVATION
 
 _ENTRY = {}
@@ -27,15 +26,17 @@ class PickScript:
         object_from_grasp: where the object's centre should be in the grasp [m], world axes at the start rotation.
         hover: height [m] above the grasp from which to descend.
         gain: OSC action per metre of error; robosuite's OSC moves about a quarter of each commanded delta.
-        closing_step: closing command added per step.
-        fully_closed: closing command from which to lift.
+        lift_from: closing command from which to lift.
+        aligned: error [m] within which the grasp begins to close.
+        started: closing command from which closing goes on whatever the alignment.
     """
 
-    object_from_grasp: tuple[float, float, float]
+    object_from_grasp: tuple[float, float, float] = (0.0, 0.0, 0.0)
     hover: float = 0.04
     gain: float = 30.0
-    closing_step: float = 0.15
-    fully_closed: float = 0.95
+    lift_from: float = 0.4
+    aligned: float = 0.012
+    started: float = -0.4
 
     def __call__(self, observation: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
         """Action (n_act,) for an observation (n_obs,); deterministic."""
@@ -43,24 +44,15 @@ class PickScript:
         offset = entry(observation, "object_from_grasp") - np.array(self.object_from_grasp)
         goal = entry(observation, "goal_from_object")
         aside = float(np.hypot(offset[0], offset[1]))
-        if command < self.fully_closed:
+        near = aside < self.aligned and abs(offset[2]) < self.aligned
+        if command < self.lift_from:
             # Stay above until aligned, so that the fingers come down beside the object.
-            above = self.hover * np.clip((aside - 0.01) / 0.03, 0.0, 1.0)
-            move = offset + np.array([0.0, 0.0, above])
-            near = aside < 0.012 and abs(offset[2]) < 0.010
-            started = command > -0.999
-            wanted = min(1.0, command + self.closing_step) if near or started else -1.0
+            move = offset + np.array([0.0, 0.0, self.hover * np.clip((aside - 0.01) / 0.03, 0.0, 1.0)])
         else:
-            # Lift first, then carry.
-            move = np.array([goal[0], goal[1], goal[2]]) * np.array([1.0, 1.0, 1.0])
-            if goal[2] > 0.12:
-                move[:2] = 0.0
-            wanted = 1.0
+            # Lift first, then carry, so that the object clears the table.
+            move = goal if goal[2] < 0.12 else np.array([0.0, 0.0, goal[2]])
         action = np.empty(ACTION_SIZE)
         action[:3] = np.clip(self.gain * move, -1.0, 1.0)
         action[3:6] = np.clip(-2.0 * entry(observation, "grasp_rotation"), -1.0, 1.0)
-        action[6:] = wanted
+        action[6:] = 1.0 if near or command > self.started else -1.0
         return action
-
-
-N_FINGERS = len(COMMANDED_ROLES)

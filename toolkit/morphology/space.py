@@ -27,8 +27,9 @@ FREEZE_DECADES = 4.0
 HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
 """log10 of the command gain: a hand tracks its targets; robosuite's grippers take the sign of the action, which a gain of
 1000 reproduces for every action above rate/1000."""
-HAND_RATE = 2.0
-"""Command change per policy step [command/step] of a hand: the whole range at once."""
+HAND_RATE = 0.2
+"""Command change per policy step [command/step] of a hand: robosuite's own rate for two-jaw grippers, so that hand and
+gripper close in the same time when told to close at once."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def _coupling_slots(matching: Matching) -> list[CouplingSlot]:
     for robot, system in enumerate(matching.systems):
         for coupling in system.couplings:
             names = [matching.slots[slot].name for slot in coupling.coefficients]
-            key = (names[0][:2], any(name.endswith(("J2", "J3")) for name in names))
+            key = (names[0][:2], any(name.endswith(("J2", "J4")) for name in names))
             table.setdefault(key, [None] * count)[robot] = coupling
     out = []
     for (finger, driven), owners in sorted(table.items()):

@@ -30,8 +30,8 @@ SPEED_LIMIT = 200.0
 class CommandLaw:
     """How finger actions become position targets: s+ = clip(s + clip(K u - leak s, -rate, rate), -1, 1).
 
-    u is each role's own action, blended by ``common`` with the mean action of the closing roles. A hand has K = leak = 1
-    and a rate of 2: s is the action. robosuite's grippers integrate the sign of one action: common 1, leak 0, K large.
+    u is each role's own action, blended by ``common`` with the mean action of the closing roles. A hand has K = leak = 1:
+    s follows the action at its rate. robosuite's grippers integrate the sign of one action: common 1, leak 0, K large.
 
     Attributes:
         common: 0 every role its own action, 1 one closing action for all.

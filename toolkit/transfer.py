@@ -1,0 +1,406 @@
+"""Meta-Evolve: a policy follows the evolution tree from the source robot to every target (Liu et al. 2024, Algorithm 1).
+
+    meta_evolve     Algorithm 1: the loop over phases, the split at meta robots, the recursion as a list of branches
+    evolve          lines 4 and 5: choose the next robot on the way, train until the policy holds on it, go there
+    settle          the last hop: from F(beta) to the unmodified robosuite robot
+
+The state between two updates is everything: it is written to one checkpoint, and a killed run continues from it to the
+same result.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from toolkit.errors import ToolkitError
+from toolkit.evolution import Kind, MetaStep, Metric, Terminal, next_meta_robot
+from toolkit.learning.episode import Episode
+from toolkit.learning.npg import NpgConfig, npg_step
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.runs import Run, generator_from_state, generator_state
+
+TRAINING_SEEDS = 10**6
+"""Training episodes take their seeds below this number."""
+CHECKING_SEEDS = 2 * 10**6
+"""The schedule measures success on seeds from here on: the same for every robot (common random numbers), none trained."""
+
+
+@dataclass(frozen=True)
+class TransferConfig:
+    """What determines a transfer; "paper" marks values of its hyperparameter table."""
+
+    kind: Kind = "steiner"
+    """Evolution tree: "steiner", "geometric-median" (one meta robot) or "independent" (one path per target)."""
+    metric: Metric = "l1"
+    """Distance between robots."""
+    seed: int = 0
+    """Of everything random."""
+    step: Literal["adaptive", "fixed"] = "adaptive"
+    """"fixed": steps of length xi (paper). "adaptive": the farthest robot on which the policy still holds."""
+    xi: float = 0.03
+    """Evolution step, L2 (paper); adaptive: the shortest step tried."""
+    threshold: float = 2 / 3
+    """Success rate for moving on (paper: 66.7 %)."""
+    goal: float = 0.85
+    """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
+    shrink: float = 0.995
+    """Factor by which the sampling window closes in on the next robot, per update (paper)."""
+    check_episodes: int = 24
+    """Episodes of one measurement of success on the way (upstream: 24)."""
+    goal_episodes: int = 40
+    """Episodes of one measurement of success at a target."""
+    check_every: int = 4
+    """Updates between two measurements in a phase."""
+    path_budget: int = 20_000
+    """Simulation epochs after which a path goes on to its end untrained; what it then reaches is measured, not assumed."""
+    native: bool = True
+    """Whether each path ends with the last hop to the unmodified robosuite robot."""
+    npg: NpgConfig = field(default_factory=NpgConfig)
+    """The learner."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("threshold", 0, 1), ("goal", 0, 1), ("shrink", 0, 1), ("xi", 0, math.inf)):
+            value = getattr(self, name)
+            if not low < value <= high:
+                raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
+
+
+class Player(Protocol):
+    """Plays a batch of episodes: RolloutEngine on F(alpha), NativeEngine on a robosuite robot."""
+
+    def play(self, actor: Callable, alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]: ...
+
+
+@dataclass
+class Cost:
+    """What a path has cost so far (paper's counting).
+
+    Attributes:
+        train_iterations: policy updates.
+        sim_epochs: training episodes.
+        check_episodes: episodes that only measured success; listed apart.
+        diverged: episodes whose simulation blew up.
+    """
+
+    train_iterations: int = 0
+    sim_epochs: int = 0
+    check_episodes: int = 0
+    diverged: int = 0
+
+
+@dataclass
+class Branch:
+    """A policy on its way to the targets that share it.
+
+    Attributes:
+        path: "path 1", "path 2", ...: a new one after every split, as the paper counts.
+        alpha: (D,) where it is.
+        targets: names still to be reached.
+        policy, value: the learner's state.
+        next_alpha: (D,) robot being trained for, None between phases.
+        window: share of the segment [alpha, next_alpha] from which training robots are drawn; it closes to 0.
+        stride: length of the last step that worked; the adaptive step starts from twice of it.
+        updates: updates in this phase.
+        stage: "evolve" on the tree, "settle" on the native robot.
+    """
+
+    path: str
+    alpha: np.ndarray
+    targets: list[str]
+    policy: GaussianPolicy
+    value: ValueFunction
+    next_alpha: np.ndarray | None = None
+    window: float = 1.0
+    stride: float = math.inf
+    updates: int = 0
+    stage: str = "evolve"
+
+
+class Transfer:
+    """One run of Meta-Evolve.
+
+    Args:
+        config: see TransferConfig.
+        source: name and alpha of the source.
+        targets: the targets.
+        policy, value: the source expert.
+        engine: plays on F(alpha).
+        native: target name -> makes the player of the unmodified robot (made when a path gets there).
+        run: folder for metrics and checkpoints.
+        report: called with one flat record per event, for progress and pictures.
+    """
+
+    def __init__(
+        self,
+        config: TransferConfig,
+        source: Terminal,
+        targets: list[Terminal],
+        policy: GaussianPolicy,
+        value: ValueFunction,
+        engine: Player,
+        native: Mapping[str, Callable[[], Player]],
+        run: Run,
+        report: Callable[[dict[str, Any], Branch], None] = lambda record, branch: None,
+    ) -> None:
+        self.config, self.engine, self.native, self.run, self.report = config, engine, native, run, report
+        self.goals = {target.name: target.alpha for target in targets}
+        self.rng = np.random.default_rng(config.seed)
+        self.costs: dict[str, Cost] = {"path 1": Cost()}
+        self.arrived: dict[str, GaussianPolicy] = {}
+        self.pending = [Branch("path 1", source.alpha, list(self.goals), policy, value)]
+        self.routes = {"path 1": [source.name]}
+        self._players: dict[str, Player] = {}
+        self._records = 0
+        self._started = time.perf_counter()
+        self._earlier_seconds = 0.0
+
+    # ---- Algorithm 1 -------------------------------------------------------------------------------------------
+
+    def meta_evolve(self) -> dict[str, GaussianPolicy]:
+        """Transfer the policy to every target; returns target name -> policy."""
+        while self.pending:
+            branch = self.pending[-1]
+            if branch.stage == "settle":
+                self.settle(branch)
+            else:
+                step = self.evolution_tree(branch)
+                if not self.at(branch, step):
+                    self.evolve(branch, step)
+                elif len(branch.targets) == 1:
+                    self.reach(branch)
+                else:
+                    self.split(branch, step)
+            self.checkpoint()
+        return self.arrived
+
+    def evolution_tree(self, branch: Branch) -> MetaStep:
+        """Algorithm 2 from the current robot."""
+        targets = [Terminal(name, self.goals[name]) for name in branch.targets]
+        return next_meta_robot(Terminal("current", branch.alpha), targets, self.config.metric, self.config.kind)
+
+    def at(self, branch: Branch, step: MetaStep) -> bool:
+        """Whether the branch stands at its meta robot (the loop's condition)."""
+        return bool(np.linalg.norm(step.meta_alpha - branch.alpha) < 1e-9)
+
+    def split(self, branch: Branch, step: MetaStep) -> None:
+        """Lines 10 to 12: one branch per subtree, each with its own copy of the policy."""
+        self.pending.pop()
+        parts = [*step.partition, *([frozenset(step.reached)] if step.reached else [])]
+        for part in sorted(parts, key=lambda p: min(branch.targets.index(name) for name in p), reverse=True):
+            path = f"path {len(self.costs) + 1}"
+            self.costs[path] = Cost()
+            names = [name for name in branch.targets if name in part]
+            self.routes[path] = [*self.routes[branch.path], "meta"]
+            self.pending.append(Branch(path, branch.alpha, names, branch.policy.copy(), branch.value.copy()))
+            self.say("split", self.pending[-1], parent=branch.path, targets=" ".join(names))
+
+    def reach(self, branch: Branch) -> None:
+        """Line 8: F(beta) is reached. Train there to the goal, then hop to the native robot."""
+        name = branch.targets[0]
+        if self.train_to(branch, self.engine, self.goals[name], self.config.goal, self.config.goal_episodes):
+            branch.next_alpha, branch.window, branch.updates = None, 1.0, 0
+            if self.config.native and name in self.native:
+                branch.stage = "settle"
+            else:
+                self.finish(branch)
+
+    def settle(self, branch: Branch) -> None:
+        """The last hop: from F(beta) to the unmodified robosuite robot, trained and counted like any other phase."""
+        name = branch.targets[0]
+        if name not in self._players:
+            self._players[name] = self.native[name]()
+        if self.train_to(branch, self._players[name], self.goals[name], self.config.goal, self.config.goal_episodes):
+            self.finish(branch)
+
+    def finish(self, branch: Branch) -> None:
+        """The branch's policy is the answer for its target."""
+        self.pending.pop()
+        self.arrived[branch.targets[0]] = branch.policy
+        self.routes[branch.path].append(branch.targets[0])
+        self.say("arrived", branch, target=branch.targets[0])
+
+    # ---- lines 4 and 5: one phase ------------------------------------------------------------------------------
+
+    def evolve(self, branch: Branch, step: MetaStep) -> None:
+        """Advance towards the meta robot: choose the next robot, then train until the policy holds on it."""
+        if branch.next_alpha is None:
+            self.choose_next(branch, step.meta_alpha)
+        elif self.train_to(branch, self.engine, branch.next_alpha, self.config.threshold, self.config.check_episodes):
+            length = float(np.linalg.norm(branch.next_alpha - branch.alpha))
+            self.move(branch, branch.next_alpha, length, trained=True)
+
+    def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
+        """Pick the next robot on the straight line to ``meta`` (D,).
+
+        Fixed steps go xi far. Adaptive steps try twice the last stride and halve it until the policy holds; what holds
+        is taken at once, and where even xi does not hold, training begins there.
+        """
+        distance = float(np.linalg.norm(meta - branch.alpha))
+        shortest = min(self.config.xi, distance)
+        stride = shortest if self.config.step == "fixed" else min(max(2 * branch.stride, shortest), distance)
+        while self.config.step == "adaptive" and stride > shortest:
+            # A remainder shorter than xi would cost a phase of its own.
+            candidate = meta if distance - stride < self.config.xi else branch.alpha + (meta - branch.alpha) * (stride / distance)
+            if self.holds(branch, self.engine, candidate, self.config.threshold, self.config.check_episodes):
+                self.move(branch, candidate, stride, trained=False)
+                return
+            stride = max(stride / 2, shortest)
+        branch.next_alpha = meta if distance - stride < 1e-12 else branch.alpha + (meta - branch.alpha) * (stride / distance)
+        branch.window, branch.updates = 1.0, 0
+
+    def move(self, branch: Branch, alpha: np.ndarray, stride: float, trained: bool) -> None:
+        """Line 5: the robot evolves."""
+        branch.alpha, branch.stride = np.clip(alpha, 0.0, 1.0), stride
+        branch.next_alpha, branch.window, branch.updates = None, 1.0, 0
+        distance = float(np.linalg.norm(self.evolution_tree(branch).meta_alpha - branch.alpha))
+        self.say("moved", branch, stride=stride, distance=distance, trained=trained)
+
+    def train_to(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
+        """One update towards ``wanted`` success on the robot ``alpha`` (D,), or True if it is there already.
+
+        Success is measured before the first update and after every check_every-th; training robots are drawn from the
+        part of the segment from branch.alpha to ``alpha`` that the window leaves open.
+        """
+        if branch.updates % self.config.check_every == 0 and self.holds(branch, player, alpha, wanted, episodes):
+            return True
+        cost = self.costs[branch.path]
+        if cost.sim_epochs >= self.config.path_budget:
+            self.say("budget", branch, sim_epochs=cost.sim_epochs)
+            return True
+        size = self.config.npg.batch_size
+        shares = 1.0 - branch.window * self.rng.uniform(size=size)
+        alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
+        seeds = [int(seed) for seed in self.rng.integers(TRAINING_SEEDS, size=size)]
+        began = time.perf_counter()
+        batch = player.play(branch.policy.act, alphas, seeds)
+        played = time.perf_counter()
+        statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, self.rng)
+        cost.train_iterations += 1
+        cost.sim_epochs += size
+        cost.diverged += sum(episode.diverged for episode in batch)
+        branch.window *= self.config.shrink
+        branch.updates += 1
+        self.say(
+            "update", branch, train_success=float(np.mean([e.success for e in batch])), window=branch.window,
+            kl=statistics["kl"], episodes_per_s=size / (played - began), play_s=played - began,
+            learn_s=statistics["seconds"],
+        )  # fmt: skip
+        return False
+
+    def holds(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
+        """Whether the policy without noise succeeds at least at the rate ``wanted`` on the robot ``alpha`` (D,).
+
+        Played in batches and stopped as soon as the outcome cannot change.
+        """
+        needed = math.ceil(wanted * episodes)
+        successes = played = 0
+        actor = lambda observation, rng: branch.policy.mean(observation)  # noqa: E731
+        while played < episodes and successes < needed and successes + episodes - played >= needed:
+            size = min(8, episodes - played)
+            batch = player.play(actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
+            played += size
+            successes += sum(episode.success for episode in batch)
+            self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+        self.costs[branch.path].check_episodes += played
+        reach = float(np.linalg.norm(alpha - branch.alpha))
+        self.say("check", branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
+        return successes >= needed
+
+    # ---- what a run leaves -------------------------------------------------------------------------------------
+
+    def say(self, event: str, branch: Branch, **values: Any) -> None:
+        """One line of metrics.jsonl, passed on to whoever watches."""
+        cost = self.costs[branch.path]
+        record = {"event": event, "path": branch.path, "stage": branch.stage, **values, **asdict(cost)}
+        self._records += 1
+        self.run.append_metrics(record)
+        self.report(record | {"seconds": self.seconds}, branch)
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the run, over all its sittings [s]."""
+        return self._earlier_seconds + time.perf_counter() - self._started
+
+    def checkpoint(self) -> None:
+        """Everything the run needs to go on, in one atomic file."""
+        tensors: dict[str, np.ndarray] = {}
+        branches = []
+        for i, branch in enumerate(self.pending):
+            tensors |= {f"pending.{i}.alpha": branch.alpha} | _learner_tensors(f"pending.{i}", branch.policy, branch.value)
+            if branch.next_alpha is not None:
+                tensors[f"pending.{i}.next_alpha"] = branch.next_alpha
+            state = {key: getattr(branch, key) for key in ("path", "targets", "window", "updates", "stage")}
+            branches.append(state | {"stride": None if math.isinf(branch.stride) else branch.stride})
+        for name, policy in self.arrived.items():
+            tensors |= _network_tensors(f"arrived.{name}", policy)
+        state = {
+            "pending": branches, "arrived": list(self.arrived), "routes": self.routes, "records": self._records,
+            "costs": {path: asdict(cost) for path, cost in self.costs.items()}, "rng": generator_state(self.rng),
+            "seconds": self.seconds,
+        }  # fmt: skip
+        self.run.save_checkpoint("transfer", tensors, state)
+
+    def restore(self) -> None:
+        """Continue from the run's checkpoint, if it has one; metrics written after it are dropped.
+
+        Raises:
+            ToolkitError: the checkpoint is broken, or was made for networks or spaces of other dimensions.
+        """
+        if "transfer" not in self.run.checkpoints():
+            self.run.truncate_metrics(0)
+            return
+        tensors, state = self.run.load_checkpoint("transfer")
+        model, critic = self.pending[0].policy, self.pending[0].value
+        size = self.pending[0].alpha.size
+        self.pending, self.arrived = [], {}
+        for i, saved in enumerate(state["pending"]):
+            alpha = tensors[f"pending.{i}.alpha"]
+            if alpha.size != size:
+                raise ToolkitError(
+                    f"{self.run.path}: its checkpoint has {alpha.size} evolution dimensions, this space {size}; "
+                    "the robots have changed since; start a new run"
+                )
+            policy, value = model.copy(), critic.copy()
+            _load_learner(tensors, f"pending.{i}", policy, value)
+            stride = math.inf if saved["stride"] is None else saved["stride"]
+            fields = {key: saved[key] for key in ("path", "targets", "window", "updates", "stage")}
+            self.pending.append(
+                Branch(alpha=alpha, policy=policy, value=value, stride=stride,
+                       next_alpha=tensors.get(f"pending.{i}.next_alpha"), **fields)
+            )  # fmt: skip
+        for name in state["arrived"]:
+            self.arrived[name] = model.copy()
+            _load_network(tensors, f"arrived.{name}", self.arrived[name])
+        self.costs = {path: Cost(**cost) for path, cost in state["costs"].items()}
+        self.routes, self._records = state["routes"], state["records"]
+        self.rng = generator_from_state(state["rng"])
+        self._earlier_seconds = state["seconds"]
+        self.run.truncate_metrics(self._records)
+
+
+def _network_tensors(prefix: str, network: GaussianPolicy | ValueFunction) -> dict[str, np.ndarray]:
+    layers = network.layers()
+    return {f"{prefix}.parameters": network.parameters, f"{prefix}.shift": np.array(layers.shift),
+            f"{prefix}.scale": np.array(layers.scale)}  # fmt: skip
+
+
+def _learner_tensors(prefix: str, policy: GaussianPolicy, value: ValueFunction) -> dict[str, np.ndarray]:
+    returns = np.array([value.return_shift, value.return_scale])
+    return _network_tensors(f"{prefix}.policy", policy) | _network_tensors(f"{prefix}.value", value) | {
+        f"{prefix}.returns": returns
+    }
+
+
+def _load_network(tensors: dict[str, np.ndarray], prefix: str, network: GaussianPolicy | ValueFunction) -> None:
+    network.set_parameters(tensors[f"{prefix}.parameters"])
+    network.set_normalisation(tensors[f"{prefix}.shift"], tensors[f"{prefix}.scale"])
+
+
+def _load_learner(tensors: dict[str, np.ndarray], prefix: str, policy: GaussianPolicy, value: ValueFunction) -> None:
+    _load_network(tensors, f"{prefix}.policy", policy)
+    _load_network(tensors, f"{prefix}.value", value)
+    value.set_return_scale(*map(float, tensors[f"{prefix}.returns"]))
