@@ -1,0 +1,73 @@
+"""What the tests share: the robots merged once, and each unmodified robosuite robot loaded once."""
+
+import logging
+
+import pytest
+
+logging.getLogger("robosuite_logs").addFilter(lambda record: False)  # robosuite warns of parts that no arm here has
+
+MERGED_ROBOTS = ("adroit", "jaco", "kinova3", "iiwa")
+"""The source first, then the targets."""
+
+
+@pytest.fixture(scope="session")
+def task():
+    from tasks import TASKS
+
+    return TASKS["061_foam_brick"]
+
+
+@pytest.fixture(scope="session")
+def matching():
+    from robots import ROBOTS
+    from toolkit.morphology.matching import match
+
+    return match([ROBOTS[name] for name in MERGED_ROBOTS])
+
+
+@pytest.fixture(scope="session")
+def space(matching):
+    from toolkit.morphology.space import EvolutionSpace
+
+    return EvolutionSpace(matching)
+
+
+@pytest.fixture(scope="session")
+def merged(space, task):
+    from toolkit.morphology.build import MergedRobot
+
+    return MergedRobot(space, task)
+
+
+@pytest.fixture(scope="session")
+def native(task):
+    """name -> the unmodified robosuite robot in its own environment; whoever uses it begins an episode of its own."""
+    from robots import ROBOTS
+    from toolkit.evaluation import NativeRobot
+
+    loaded = {}
+
+    def load(name):
+        if name not in loaded:
+            loaded[name] = NativeRobot(ROBOTS[name], task)
+        loaded[name].begin(0)
+        return loaded[name]
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def native_fast(task):
+    """name -> the unmodified robosuite robot under the compiled control step."""
+    from robots import ROBOTS
+    from toolkit.simulation.plant import native_plant
+
+    loaded = {}
+
+    def load(name):
+        if name not in loaded:
+            loaded[name] = native_plant(ROBOTS[name], task)
+        loaded[name].begin(0)
+        return loaded[name]
+
+    return load
