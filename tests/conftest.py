@@ -6,9 +6,6 @@ import pytest
 
 logging.getLogger("robosuite_logs").addFilter(lambda record: False)  # robosuite warns of parts that no arm here has
 
-MERGED_ROBOTS = ("adroit", "jaco", "kinova3", "iiwa")
-"""The source first, then the targets."""
-
 
 @pytest.fixture(scope="session")
 def task():
@@ -19,10 +16,11 @@ def task():
 
 @pytest.fixture(scope="session")
 def matching():
+    """Every registered robot, the source first."""
     from robots import ROBOTS
     from toolkit.morphology.matching import match
 
-    return match([ROBOTS[name] for name in MERGED_ROBOTS])
+    return match(list(ROBOTS.values()))
 
 
 @pytest.fixture(scope="session")
