@@ -26,14 +26,14 @@ class ExpertConfig:
 
     demonstrations: int = 160
     """Scripted episodes; failed ones are dropped and counted."""
-    noise: float = 0.3
+    noise: float = 0.12
     """Standard deviation of the noise that perturbs the demonstrated motion (the label stays the script's action), so
     that the clone learns to come back (Laskey et al. 2017, DART)."""
-    updates: int = 60
+    updates: int = 30
     """Natural-gradient updates after cloning."""
     seed: int = 0
     """Of everything random."""
-    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=60, init_log_std=-1.2))
+    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=120, init_log_std=-2.0))
     """Behaviour cloning."""
     npg: NpgConfig = field(default_factory=lambda: NpgConfig(step_size=0.005, batch_size=24))
     """The learner; larger steps than in transfer, as nothing is lost if the clone changes."""
