@@ -176,9 +176,9 @@ def test_broken_checkpoints_are_named(tmp_path: Path) -> None:
 
 def test_report_and_summary(tmp_path: Path) -> None:
     run = Run.create(tmp_path / "a", {})
-    run.write_report({"success_rate": np.float32(0.5), "worst": float("inf"), "ci95": np.array([0.4, 0.6])})
+    run.write_json("report", {"success_rate": np.float32(0.5), "worst": float("inf"), "ci95": np.array([0.4, 0.6])})
     run.write_summary("# Done\n")
     assert json.loads((run.path / "report.json").read_text()) == {"success_rate": 0.5, "worst": None, "ci95": [0.4, 0.6]}
     assert (run.path / "summary.md").read_text() == "# Done\n"
     with pytest.raises(ToolkitError, match="cannot be stored as JSON"):
-        run.write_report({"object": object()})
+        run.write_json("report", {"object": object()})

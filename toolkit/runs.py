@@ -192,9 +192,9 @@ class Run:
         """Names of the checkpoints, sorted."""
         return sorted(file.name.removesuffix(".safetensors") for file in self.path.glob("checkpoints/[!.]*.safetensors"))
 
-    def write_report(self, report: dict[str, Any]) -> None:
-        """Write report.json. NaN and infinities are written as null."""
-        self._write("report.json", _json_bytes(_finite(_plain(report)), "report"))
+    def write_json(self, name: str, content: dict[str, Any]) -> None:
+        """Write <name>.json. NaN and infinities are written as null."""
+        self._write(f"{name}.json", _json_bytes(_finite(_plain(content)), name))
 
     def write_summary(self, text: str) -> None:
         """Write summary.md [Markdown]."""

@@ -1,0 +1,249 @@
+"""A transfer from names to report: robots, space, tree, expert, training, evaluation, recording, in one run folder."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robots.robot import Robot
+from tasks.pick import PickTask
+from toolkit.errors import ToolkitError
+from toolkit.evaluation import Evaluation, evaluate_merged, evaluate_native
+from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
+from toolkit.expert import load_expert
+from toolkit.learning.npg import NpgConfig
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.matching import match
+from toolkit.morphology.space import EvolutionSpace
+from toolkit.recording import Recording
+from toolkit.runs import Run
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.transfer import Branch, Transfer, TransferConfig
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # A small budget and larger natural-gradient steps: the whole way in minutes, reported as it is.
+    "quick": {"transfer": {"path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
+              "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
+    "full": {"transfer": {"path_budget": 15_000}, "npg": {"step_size": 0.002}, "evaluation_episodes": 200},
+    # Every number from the paper's table.
+    "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
+}  # fmt: skip
+"""Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a run is asked to do.
+
+    Attributes:
+        source: the robot that the expert was trained on.
+        targets: where its policy should go.
+        task: what it does.
+        transfer: the schedule.
+        evaluation_episodes: per target and robot, after training.
+    """
+
+    source: Robot
+    targets: tuple[Robot, ...]
+    task: PickTask
+    transfer: TransferConfig = field(default_factory=TransferConfig)
+    evaluation_episodes: int = 200
+
+    def config(self) -> dict[str, Any]:
+        """As written to config.json, and compared on --resume."""
+        return {
+            "source": self.source.name, "targets": [robot.name for robot in self.targets], "task": self.task.name,
+            "transfer": asdict(self.transfer), "evaluation_episodes": self.evaluation_episodes,
+        }  # fmt: skip
+
+
+def transfer_config(preset: str, kind: Kind, metric: Metric, seed: int, step: str | None) -> TransferConfig:
+    """The schedule of a preset; ``step`` overrides the preset's.
+
+    Raises:
+        ToolkitError: an unknown preset.
+    """
+    if preset not in PRESETS:
+        raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
+    overrides = PRESETS[preset]
+    values = overrides["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
+    if step is not None:
+        values["step"] = step
+    return TransferConfig(npg=NpgConfig(**overrides["npg"]), **values)
+
+
+class Lab:
+    """The merged robot of a job's robots, in its task, with its evolution space.
+
+    Args:
+        source, targets, task: as in Job.
+
+    Raises:
+        ToolkitError: the source is among the targets, a robot is named twice, or the merged robot does not compile.
+    """
+
+    def __init__(self, source: Robot, targets: Sequence[Robot], task: PickTask) -> None:
+        if source.name in [robot.name for robot in targets]:
+            raise ToolkitError(f"{source.name!r} is both source and target; leave it out of the targets")
+        self.source, self.targets, self.task = source, tuple(targets), task
+        self.space = EvolutionSpace(match([source, *targets]))
+        self.merged = MergedRobot(self.space, task)
+
+    def terminals(self) -> tuple[Terminal, list[Terminal]]:
+        """Source and targets as points of the evolution space."""
+        points = [Terminal(name, self.space.beta(name)) for name in self.space.matching.names]
+        return points[0], points[1:]
+
+    def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:
+        """The evolution tree from the source to the targets."""
+        source, targets = self.terminals()
+        return evolution_tree(source, targets, metric, kind)
+
+
+class Pipeline:
+    """One run of a job: trains, evaluates, records; can be killed at any moment and resumed.
+
+    Args:
+        job: what to do.
+        folder: the run folder.
+        resume: continue the run that is there.
+        watch: called with every event of the transfer, for progress on a terminal.
+    """
+
+    def __init__(
+        self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None
+    ) -> None:
+        policy, value = load_expert(job.source.name, job.task.name)
+        self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
+        self.job, self.watch = job, watch
+        self.lab = Lab(job.source, job.targets, job.task)
+        self.engine = RolloutEngine(self.lab.merged)
+        self.tree = self.lab.tree(job.transfer.metric, job.transfer.kind)
+        self.recording = Recording(folder / "recording.rrd")
+        self._clock, self._iteration = 0.0, 0
+        source, targets = self.lab.terminals()
+        native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task)) for robot in job.targets}
+        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen)
+        if resume:
+            self.transfer.restore()
+        self.run.write_json("tree", self.tree.to_json())
+
+    def play(self) -> dict[str, Any]:
+        """Transfer, evaluate, write everything; returns the report."""
+        try:
+            self._open_recording()
+            policies = self.transfer.meta_evolve()
+            for name, policy in policies.items():
+                policy.save(self.run.path / f"{name}.policy.safetensors")
+            evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
+            report = self._report(evaluations)
+            self.run.write_json("report", report)
+            self.run.write_summary(summary(report, self.tree))
+            self.recording.log_summary(summary(report, self.tree))
+            return report
+        finally:
+            self.recording.close()
+            self.engine.close()
+
+    # ---- what is seen on the way -------------------------------------------------------------------------------
+
+    def _open_recording(self) -> None:
+        content = self.tree.to_json()
+        self.recording.log_tree(content["nodes"], content["edges"])
+        self._film(self.lab.space.betas[0], self.transfer.pending[-1].policy if self.transfer.pending else None)
+        for target in self.job.targets:
+            self._morph(target.name)
+
+    def _morph(self, name: str, frames: int = 25) -> None:
+        """The source turning into a target along a straight line, for the "morph" timeline."""
+        start, end = self.lab.space.betas[0], self.lab.space.beta(name)
+        models = []
+        for share in np.linspace(0.0, 1.0, frames):
+            model, data = self.lab.merged.new()
+            self.lab.merged.become(start + share * (end - start), model, data)
+            models.append((f"{self.job.source.name} to {name}: {100 * share:.0f} %", model, np.array(data.qpos)))
+        self.recording.log_morph(f"morph/{name}", models)
+
+    def _film(self, alpha: np.ndarray, policy: GaussianPolicy | None) -> None:
+        """One episode of the policy's mean action on F(alpha), on the "time" timeline."""
+        if policy is None:
+            return
+        trace = self.engine.trace(lambda observation, rng: policy.mean(observation), alpha, seed=1)
+        interval = 1.0 / self.job.task.control_frequency
+        self._clock = self.recording.log_episode("robot", trace.model, trace.qpos, interval, self._clock, self._iteration)
+
+    def _seen(self, record: dict[str, Any], branch: Branch) -> None:
+        """Pass an event on to the terminal and into the recording."""
+        self.watch(record)
+        self._iteration += 1
+        numbers = {"episodes": record["sim_epochs"]}
+        success = {"check": "success", "update": "train_success"}.get(record["event"])
+        if success:
+            numbers["success_rate" if success == "success" else "train_success"] = record[success]
+        if "distance" in record:
+            numbers["distance"] = record["distance"]
+        self.recording.log_progress(self._iteration, f"{record['path']} {record['stage']}", numbers)
+        if record["event"] in ("moved", "arrived"):
+            self._film(branch.alpha, branch.policy)
+
+    # ---- what is claimed ---------------------------------------------------------------------------------------
+
+    def _evaluate(self, name: str, policy: GaussianPolicy) -> dict[str, Evaluation]:
+        robot = next(robot for robot in self.job.targets if robot.name == name)
+        episodes = self.job.evaluation_episodes
+        self.watch({"event": "evaluating", "target": name, "episodes": episodes})
+        return {
+            "merged": evaluate_merged(policy, self.engine, name, episodes),
+            "native": evaluate_native(policy, robot, self.job.task, episodes),
+        }
+
+    def _report(self, evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
+        costs = self.transfer.costs
+        total = lambda key: sum(getattr(cost, key) for cost in costs.values())  # noqa: E731
+        return {
+            "targets": {name: {env: e.to_json() for env, e in both.items()} for name, both in evaluations.items()},
+            "train_iterations": {path: cost.train_iterations for path, cost in costs.items()},
+            "sim_epochs": {path: cost.sim_epochs for path, cost in costs.items()},
+            "check_episodes": {path: cost.check_episodes for path, cost in costs.items()},
+            "diverged": {path: cost.diverged for path, cost in costs.items()},
+            "routes": self.transfer.routes,
+            "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
+            "wall_s": self.transfer.seconds,
+            "seed": self.job.transfer.seed,
+            "kind": self.job.transfer.kind,
+            "metric": self.job.transfer.metric,
+            "step": self.job.transfer.step,
+            "source": self.job.source.name,
+            "task": self.job.task.name,
+        }
+
+
+def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
+    """The report as Markdown, for people."""
+    lines = [
+        f"# {report['source']} to {', '.join(report['targets'])}: {report['task']}", "",
+        "| target | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|",
+    ]  # fmt: skip
+    for name, both in report["targets"].items():
+        low, high = both["native"]["ci95"]
+        lines.append(
+            f"| {name} | {both['native']['successes']} of {both['native']['episodes']} | {low:.2f} to {high:.2f} "
+            f"| {both['merged']['successes']} of {both['merged']['episodes']} |"
+        )
+    lines += ["", "| path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|"]
+    for path, route in report["routes"].items():
+        name = f"{path}: {' to '.join(route)}"
+        lines.append(
+            f"| {name} | {report['train_iterations'][path]} | {report['sim_epochs'][path]} | {report['check_episodes'][path]} |"
+        )
+    totals = report["totals"]
+    lines += [
+        f"| total | {totals['train_iterations']} | {totals['sim_epochs']} | {totals['check_episodes']} |", "",
+        f"Tree ({report['metric'].upper()}, {report['kind']}): length {tree.length:.1f}, independent paths "
+        f"{tree.independent_length:.1f}, ratio {tree.ratio:.2f}{', proven shortest' if tree.optimal else ''}.",
+        f"Wall time {report['wall_s'] / 60:.1f} min; diverged simulations: {totals['diverged']} (counted as failures).",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
