@@ -43,7 +43,7 @@ ARRIVED = 1e-9
 MAX_TERMINALS = 60
 """A split is stored as one 64-bit integer. The paper expects fewer than 20 robots."""
 
-# All partial trees are kept up to these many terminals (10395 and 105 of them before the last insertion)
+# All partial trees are kept up to these many terminals (10395 and 105 of them before the last insertion),
 # so the search is exhaustive; with more, only the most promising ones are, and `optimal` says what came of it.
 _EXHAUSTIVE = {"l1": 9, "l2": 7}
 _EVERYTHING = 1_000_000
