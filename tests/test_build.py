@@ -101,7 +101,7 @@ def test_an_alpha_outside_the_space_builds_nothing(merged, space):
 # -- every alpha can be stepped ------------------------------------------------------------------------------
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1), corner=st.booleans())
 def test_any_alpha_steps_a_second_of_random_actions(merged, space, seed, corner):
     rng = np.random.default_rng(seed)
@@ -225,13 +225,12 @@ def test_the_merged_arm_is_as_heavy_to_hold(pair, name):
     assert worst < 1e-6, f"{name}: gravity torques {worst:.1e} from the robot's own, relatively"
 
 
-@every_robot
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_merged_robot_follows_the_same_commands(merged, space, native_fast, name, seed, record_property):
-    """The grasp frame through 1 s of the same OSC commands in free space, gripper open."""
+def farthest_apart(merged, fast, name, seed):
+    """Largest distance [m] of the grasp frames of F(beta) and of the robot itself in 1 s of the same commands."""
     rng = np.random.default_rng(seed)
-    fast = native_fast(name)
-    plant = merged_plant(merged, space.beta(name), *merged.new())
+    plant = merged_plant(merged, merged.space.beta(name), *merged.new())
+    if fast.model.opt.density == 0:
+        plant.model.opt.density = plant.model.opt.viscosity = 0.0
     fast.begin(seed), plant.begin(seed)
     worst = 0.0
     for _ in range(20):
@@ -239,9 +238,38 @@ def test_the_merged_robot_follows_the_same_commands(merged, space, native_fast, 
         action[:6] = np.array([0, 0, 0.4, 0, 0, 0]) + rng.uniform(-0.5, 0.5, 6)
         places = [entry(p.step(action), "grasp_position") for p in (fast, plant)]
         worst = max(worst, float(np.linalg.norm(places[0] - places[1])))
-    record_property("millimetres", 1e3 * worst)
-    print(f"{name}, seed {seed}: grasp frames at most {1e3 * worst:.4f} mm apart")
-    assert worst < 1e-3, f"{name}: grasp frame {1e3 * worst:.2f} mm from the unmodified robot's within 1 s"
+    return worst
+
+
+jaco_drags = pytest.mark.xfail(
+    strict=True, reason="robosuite's Jaco has a link of 1e-6 kg and 1e-6 kg m^2, whose equivalent inertia box, 2.4 m wide, "
+    "MuJoCo drags through the air; lumped into the merged robot it is gone"
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=jaco_drags if n == "jaco" else ()) for n in ROBOTS])
+def test_the_merged_robot_follows_the_same_commands(merged, native_fast, name, seed, record_property):
+    """In free space, gripper open."""
+    worst = 1e3 * farthest_apart(merged, native_fast(name), name, seed)
+    record_property("millimetres", worst)
+    print(f"{name}, seed {seed}: grasp frames at most {worst:.4f} mm apart")
+    assert worst < 1.0, f"{name}: grasp frame {worst:.2f} mm from the unmodified robot's within 1 s"
+
+
+@every_robot
+def test_without_air_the_merged_robot_follows_closer_still(merged, native_fast, name):
+    """Air apart, what is left is the dead weight of the four-bar grippers' knuckles."""
+    fast = native_fast(name)
+    options = fast.model.opt
+    air = options.density, options.viscosity
+    try:
+        options.density = options.viscosity = 0.0
+        worst = 1e3 * farthest_apart(merged, fast, name, 0)
+    finally:
+        options.density, options.viscosity = air
+    print(f"{name}: without air, grasp frames at most {worst:.6f} mm apart")
+    assert worst < 0.1, f"{name}: grasp frame {worst:.4f} mm from the unmodified robot's within 1 s, without air"
 
 
 locked_against_stop = pytest.mark.xfail(

@@ -181,7 +181,7 @@ def test_betas_are_corners_or_between_and_all_different(space):
 # -- and between them ----------------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), corner=st.booleans())
 def test_every_parameter_stays_within_its_bounds(space, seed, corner):
     rng = np.random.default_rng(seed)
