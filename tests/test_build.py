@@ -1,4 +1,4 @@
-"""F: patched in place it is the model compiled from scratch, at a robot it is that robot, and anywhere it can be stepped."""
+"""F: patched in place it is the model compiled from scratch, at a robot it is that robot, anywhere it can step."""
 
 import time
 
@@ -23,7 +23,10 @@ OPEN = -1.0
 def numbers(model):
     """Every array of a compiled model and its statistics; the static bounding volumes are compiled once, loose."""
     out = {field: getattr(model, field) for field in dir(model) if not field.startswith(("_", "bvh_"))}
-    out |= {f"stat.{field}": getattr(model.stat, field) for field in ("meaninertia", "meanmass", "meansize", "extent", "center")}
+    out |= {
+        f"stat.{field}": getattr(model.stat, field)
+        for field in ("meaninertia", "meanmass", "meansize", "extent", "center")
+    }
     return {field: value for field, value in out.items() if isinstance(value, (np.ndarray, float))}
 
 
@@ -66,7 +69,9 @@ def test_f_forgets_what_it_was_before(merged, space):
     first = {field: np.array(value) for field, value in numbers(model).items()}
     for name in (*ROBOTS, "adroit"):
         merged.become(space.beta(name), model, data)
-    changed = [field for field, value in numbers(model).items() if not np.array_equal(first[field], value, equal_nan=True)]
+    changed = [
+        field for field, value in numbers(model).items() if not np.array_equal(first[field], value, equal_nan=True)
+    ]
     assert not changed, f"{changed} remember another robot"
 
 
@@ -88,7 +93,6 @@ def test_f_is_cheap(merged, space, record_property):
         took.append(time.thread_time() - start)
     median = 1e3 * float(np.median(took))
     record_property("milliseconds", median)
-    print(f"F(alpha) takes {median:.2f} ms (median of {len(took)}, processor time)")
     assert median < 5, f"F(alpha) takes {median:.2f} ms; the aim is 1 ms"
 
 
@@ -114,7 +118,9 @@ def test_any_alpha_steps_a_second_of_random_actions(merged, space, seed, corner)
     assert np.isfinite(observation).all(), f"observation is not finite, seed {seed}, corner {corner}"
     warned = {mujoco.mjtWarning(i).name: w.number for i, w in enumerate(plant.data.warning) if w.number}
     speed = np.abs(plant.data.qvel).max()
-    assert not warned and not plant.diverged, f"MuJoCo warned {warned}, speed {speed:.0f} rad/s, seed {seed}, corner {corner}"
+    assert not warned and not plant.diverged, (
+        f"MuJoCo warned {warned}, speed {speed:.0f} rad/s, seed {seed}, corner {corner}"
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, 0.5])
@@ -136,7 +142,11 @@ def test_no_link_or_geom_of_a_robot_leaves_its_bounding_box(merged, space):
         merged.become(alpha, model, data)
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
-            if not model.geom_contype[geom] or model.body_bvhnum[body] == 0 or model.geom(geom).name in ("table", "object"):
+            if (
+                not model.geom_contype[geom]
+                or model.body_bvhnum[body] == 0
+                or model.geom(geom).name in ("table", "object")
+            ):
                 continue
             rotation = np.empty(9)
             mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
@@ -174,7 +184,10 @@ class Pair:
 
     def arm_mass_matrices(self):
         out = []
-        for model, data, joints in ((self.model, self.data, self.arm), (self.native, self.native_data, self.native_arm)):
+        for model, data, joints in (
+            (self.model, self.data, self.arm),
+            (self.native, self.native_data, self.native_arm),
+        ):
             full, dofs = np.empty((model.nv, model.nv)), model.jnt_dofadr[joints]
             mujoco.mj_fullM(model, full, data.qM)
             out.append(full[np.ix_(dofs, dofs)])
@@ -231,7 +244,8 @@ def farthest_apart(merged, fast, name, seed):
     plant = merged_plant(merged, merged.space.beta(name), *merged.new())
     if fast.model.opt.density == 0:
         plant.model.opt.density = plant.model.opt.viscosity = 0.0
-    fast.begin(seed), plant.begin(seed)
+    fast.begin(seed)
+    plant.begin(seed)
     worst = 0.0
     for _ in range(20):
         action = np.full(ACTION_SIZE, OPEN)
@@ -242,7 +256,8 @@ def farthest_apart(merged, fast, name, seed):
 
 
 jaco_drags = pytest.mark.xfail(
-    strict=True, reason="robosuite's Jaco has a link of 1e-6 kg and 1e-6 kg m^2, whose equivalent inertia box, 2.4 m wide, "
+    strict=True,
+    reason="robosuite's Jaco has a link of 1e-6 kg and 1e-6 kg m^2, whose equivalent inertia box, 2.4 m wide, "
     "MuJoCo drags through the air; lumped into the merged robot it is gone"
 )  # fmt: skip
 
@@ -253,7 +268,6 @@ def test_the_merged_robot_follows_the_same_commands(merged, native_fast, name, s
     """In free space, gripper open."""
     worst = 1e3 * farthest_apart(merged, native_fast(name), name, seed)
     record_property("millimetres", worst)
-    print(f"{name}, seed {seed}: grasp frames at most {worst:.4f} mm apart")
     assert worst < 1.0, f"{name}: grasp frame {worst:.2f} mm from the unmodified robot's within 1 s"
 
 
@@ -268,7 +282,6 @@ def test_without_air_the_merged_robot_follows_closer_still(merged, native_fast, 
         worst = 1e3 * farthest_apart(merged, fast, name, 0)
     finally:
         options.density, options.viscosity = air
-    print(f"{name}: without air, grasp frames at most {worst:.6f} mm apart")
     assert worst < 0.1, f"{name}: grasp frame {worst:.4f} mm from the unmodified robot's within 1 s, without air"
 
 
@@ -285,7 +298,9 @@ def test_frozen_joints_stay_where_they_froze(merged, space, name):
     action[:6] = 0
     for _ in range(10):
         plant.step(action)
-    frozen = [slot.name for slot, freeze in zip(space.matching.slots, theta["freeze"][:, 0], strict=True) if freeze == 1.0]
+    frozen = [
+        slot.name for slot, freeze in zip(space.matching.slots, theta["freeze"][:, 0], strict=True) if freeze == 1.0
+    ]
     moved = {joint: abs(float(plant.data.joint(joint).qpos[0])) for joint in frozen}
     worst = max(moved, key=moved.get, default=None)
     assert worst is None or moved[worst] < 0.005, f"{name}: frozen joint {worst} moved {moved[worst]:.4f} rad"

@@ -37,7 +37,8 @@ def test_the_interval_by_hand():
 def test_json_keeps_its_contract():
     record = Evaluation("jaco", "merged", 4, 1, 2, 7).to_json()
     assert {k: record[k] for k in ("target", "env", "episodes", "successes", "success_rate", "diverged", "seed")} == {
-        "target": "jaco", "env": "merged", "episodes": 4, "successes": 1, "success_rate": 0.25, "diverged": 2, "seed": 7,
+        "target": "jaco", "env": "merged", "episodes": 4, "successes": 1, "success_rate": 0.25, "diverged": 2,
+        "seed": 7,
     }  # fmt: skip
     assert len(record["ci95"]) == 2
 
@@ -63,7 +64,9 @@ def test_actions_given_to_robosuite_stay_within_its_bounds(native, name):
     for scale in (1.0, 100.0):
         action = robot.robosuite_action(scale * rng.uniform(-1, 1, ACTION_SIZE))
         assert action.shape == low.shape, f"{name}: {action.shape} entries, robosuite takes {low.shape}"
-        assert (action >= low - 1e-9).all() and (action <= high + 1e-9).all(), f"{name}: action leaves robosuite's bounds"
+        assert (action >= low - 1e-9).all() and (action <= high + 1e-9).all(), (
+            f"{name}: action leaves robosuite's bounds"
+        )
 
 
 @pytest.mark.parametrize("name", sorted(ROBOTS))
@@ -78,5 +81,4 @@ def test_the_robot_and_its_engine_observe_alike(native, native_fast, name):
     action[:6] = [0, 0, 0.5, 0, 0, 0]
     for _ in range(7):
         apart.append(np.abs(slow.step(action) - fast.step(action)).max())
-    print(f"{name}: observations at most {max(apart):.1e} apart")
     assert max(apart) < 1e-5, f"{name}: observations {max(apart):.1e} apart (first {apart[0]:.1e})"

@@ -11,6 +11,7 @@ ROOT = Path(__file__).parent.parent
 TOOLKIT = sorted((ROOT / "toolkit").rglob("*.py"))
 LEAVES = sorted(path for folder in ("robots", "grippers", "tasks") for path in (ROOT / folder).rglob("*.py"))
 CLI = ROOT / "toolkit" / "cli.py"
+RUNS_CODE = {"eval", "exec", "compile", "__import__", "yaml.load", "torch.load", "yaml.unsafe_load", "os.system"}
 MAY_IMPORT_RERUN = {"toolkit/recording.py", "toolkit/doctor.py"}
 
 
@@ -55,7 +56,9 @@ def test_leaves_never_import_the_toolkit(path):
     assert not found, f"{label(path)} imports the toolkit on lines {found}"
 
 
-signs_know_adroit = pytest.mark.xfail(strict=True, reason="_finger_signs imports robots.ROBOTS to find the reference hand")
+signs_know_adroit = pytest.mark.xfail(
+    strict=True, reason="_finger_signs imports robots.ROBOTS to find the reference hand"
+)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +98,7 @@ def test_nothing_can_run_code_from_a_file(path):
     found = [f"import {module} (line {line})" for module, _, line in imports(path) if module.split(".")[0] in banned]
     for name, line, node in calls(path):
         keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
-        if name in ("eval", "exec", "compile", "__import__", "yaml.load", "torch.load", "yaml.unsafe_load", "os.system"):
+        if name in RUNS_CODE:
             found.append(f"{name} (line {line})")
         if keywords.get("allow_pickle", "False") != "False" or keywords.get("shell", "False") != "False":
             found.append(f"{name} with {keywords} (line {line})")
@@ -106,7 +109,8 @@ def test_nothing_can_run_code_from_a_file(path):
 def test_every_public_thing_is_documented(path):
     undocumented = [] if ast.get_docstring(tree(path)) or not path.read_text().strip() else ["the module"]
     for node in tree(path).body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_") and not ast.get_docstring(node):
+        public = isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+        if public and not ast.get_docstring(node):
             undocumented.append(node.name)
     assert not undocumented, f"{label(path)}: no docstring for {undocumented}"
 
@@ -147,8 +151,14 @@ def test_no_module_imports_itself_in_a_circle():
 
 def test_modules_import_upwards_in_the_architectures_order():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    listed = [m.replace("/", ".").removesuffix(".py") for m in re.findall(r"^ {4}(toolkit/\S+\.py)", text, re.MULTILINE)]
+    listed = [
+        m.replace("/", ".").removesuffix(".py") for m in re.findall(r"^ {4}(toolkit/\S+\.py)", text, re.MULTILINE)
+    ]
     assert len(listed) > 10, "docs/architecture.md lists the modules in another form"
     rank = {module: index for index, module in enumerate(listed)}
-    wrong = [f"{a} imports {b} (line {line})" for a, b, line in toolkit_edges() if a in rank and b in rank and rank[b] >= rank[a]]
+    wrong = [
+        f"{a} imports {b} (line {line})"
+        for a, b, line in toolkit_edges()
+        if a in rank and b in rank and rank[b] >= rank[a]
+    ]
     assert not wrong, f"against docs/architecture.md: {wrong}"

@@ -14,7 +14,11 @@ from robots import ROBOTS
 from toolkit.errors import ToolkitError
 from toolkit.morphology.matching import finger_signs, match
 from toolkit.morphology.space import (
-    axis_to_tangent, gyration, inertia_from_gyration, tangent_basis, tangents_to_axes,
+    axis_to_tangent,
+    gyration,
+    inertia_from_gyration,
+    tangent_basis,
+    tangents_to_axes,
 )  # fmt: skip
 
 every_robot = pytest.mark.parametrize("name", list(ROBOTS))
@@ -53,7 +57,9 @@ def test_screws_stand_where_mujoco_puts_the_joints(matching, native, name):
         if joint is None:
             continue
         np.testing.assert_allclose(joint.screw.anchor, data.xanchor[joint.mujoco_joint], atol=1e-9, err_msg=slot.name)
-        np.testing.assert_allclose(joint.sign * joint.screw.axis, data.xaxis[joint.mujoco_joint], atol=1e-9, err_msg=slot.name)
+        np.testing.assert_allclose(
+            joint.sign * joint.screw.axis, data.xaxis[joint.mujoco_joint], atol=1e-9, err_msg=slot.name
+        )
 
 
 rests_beyond = pytest.mark.xfail(
@@ -82,7 +88,8 @@ def test_fingers_close_in_the_positive_sense(matching, name):
 @every_robot
 def test_observed_fingers_turn_alike_whoever_else_is_merged(matching, name):
     system = matching.systems[matching.names.index(name)]
-    signs, alone = {slot.name: j.sign for slot, j in zip(matching.slots, system.joints, strict=True) if j}, finger_signs(ROBOTS[name])
+    signs = {slot.name: j.sign for slot, j in zip(matching.slots, system.joints, strict=True) if j}
+    alone = finger_signs(ROBOTS[name])
     observed = [role for role in COMMANDED_ROLES if role in signs]
     assert observed and [alone[role] for role in observed] == [signs[role] for role in observed]
 
@@ -102,7 +109,9 @@ def test_an_arm_with_another_number_of_joints_is_named():
 
 def test_a_joint_that_the_gripper_lacks_is_named_with_those_it_has():
     gripper = replace(ROBOTS["jaco"].gripper, joints={**ROBOTS["jaco"].gripper.joints, "THJ1": "joint_big_toe"})
-    with pytest.raises(ToolkitError, match="role THJ1 names joint 'joint_big_toe', which its model lacks; it has .*joint_thumb"):
+    with pytest.raises(
+        ToolkitError, match="role THJ1 names joint 'joint_big_toe', which its model lacks; it has .*joint_thumb"
+    ):
         match([ROBOTS["kinova3"], replace(ROBOTS["jaco"], gripper=gripper)])
 
 
@@ -143,9 +152,13 @@ def test_theta_at_beta_is_what_the_matching_read(space, name):
             "damping": joint.damping, "armature": joint.armature, "target": (joint.target_open, joint.target_closed),
         }  # fmt: skip
         for key, value in wanted.items():
-            np.testing.assert_allclose(got[key], value, rtol=1e-9, atol=1e-9, err_msg=f"{space.matching.slots[row].name}.{key}")
+            np.testing.assert_allclose(
+                got[key], value, rtol=1e-9, atol=1e-9, err_msg=f"{space.matching.slots[row].name}.{key}"
+            )
         inertia = inertia_from_gyration(theta["mass"][row], theta["gyration"][row : row + 1])[0]
-        np.testing.assert_allclose(inertia, joint.screw.inertia, rtol=1e-6, atol=1e-9, err_msg=space.matching.slots[row].name)
+        np.testing.assert_allclose(
+            inertia, joint.screw.inertia, rtol=1e-6, atol=1e-9, err_msg=space.matching.slots[row].name
+        )
     axes = tangents_to_axes(theta["axis"], space.axis_references, space.axis_bases)
     for row, joint in enumerate(system.joints):
         if joint is not None:
@@ -167,7 +180,9 @@ def test_what_a_robot_lacks_is_massless_frozen_and_without_shape(space, name):
         assert got == wanted, f"{name}: {shape.name} has presence {got}, {wanted} expected"
     for row, coupling in enumerate(space.coupling_slots):
         if coupling.owners[index] is None:
-            assert theta["coupling_held"][row, 0] == 0 == theta["coupling_stiffness"][row, 0], f"{name}: {coupling.name} holds"
+            assert theta["coupling_held"][row, 0] == 0 == theta["coupling_stiffness"][row, 0], (
+                f"{name}: {coupling.name} holds"
+            )
 
 
 def test_betas_are_corners_or_between_and_all_different(space):
@@ -189,7 +204,9 @@ def test_every_parameter_stays_within_its_bounds(space, seed, corner):
     values = entries(space, space.theta(alpha))
     for p in space.parameters:
         slack = 1e-12 * max(1.0, abs(p.low), abs(p.high))
-        assert p.low - slack <= values[p.name] <= p.high + slack, f"{p.name} = {values[p.name]} outside [{p.low}, {p.high}]"
+        assert p.low - slack <= values[p.name] <= p.high + slack, (
+            f"{p.name} = {values[p.name]} outside [{p.low}, {p.high}]"
+        )
 
 
 def test_each_dimension_moves_its_own_parameters_and_all_of_them(space):
@@ -237,7 +254,9 @@ def test_an_alpha_outside_the_space_is_named(space, value, sentence):
 
 
 def test_an_alpha_of_the_wrong_size_is_named(space):
-    with pytest.raises(ToolkitError, match=rf"alpha has shape \(3,\); this evolution space has {space.size} dimensions"):
+    with pytest.raises(
+        ToolkitError, match=rf"alpha has shape \(3,\); this evolution space has {space.size} dimensions"
+    ):
         space.theta(np.zeros(3))
     with pytest.raises(ToolkitError, match="robot 'r2d2' is not in this evolution space; it has adroit"):
         space.beta("r2d2")
@@ -294,6 +313,8 @@ def test_every_tangent_is_a_direction(reference, tangent):
     assume(np.linalg.norm(reference) > 1e-3)
     reference = reference / np.linalg.norm(reference)
     first, second = basis = np.array(tangent_basis(reference))
-    np.testing.assert_allclose(np.array([reference, first, second]) @ np.array([reference, first, second]).T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        np.array([reference, first, second]) @ np.array([reference, first, second]).T, np.eye(3), atol=1e-12
+    )
     axis = tangents_to_axes(tangent[None], reference[None], basis[None])[0]
     assert abs(np.linalg.norm(axis) - 1) < 1e-12, f"axis of length {np.linalg.norm(axis)}"

@@ -1,4 +1,4 @@
-"""The compiled control step: its algebra against NumPy, SciPy and robosuite, its motion against robosuite's own env.step."""
+"""The compiled control step: algebra against NumPy, SciPy and robosuite, motion against robosuite's own env.step."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,9 @@ def test_rotation_from_vector_is_scipys(vector):
 
 def test_a_vanishing_rotation_is_none():
     np.testing.assert_array_equal(rotation_from_vector(np.zeros(3)), np.eye(3))
-    off = np.abs(rotation_from_vector(np.array([0.0, 1e-9, 0.0])) - Rotation.from_rotvec([0, 1e-9, 0]).as_matrix()).max()
+    off = np.abs(
+        rotation_from_vector(np.array([0.0, 1e-9, 0.0])) - Rotation.from_rotvec([0, 1e-9, 0]).as_matrix()
+    ).max()
     assert off < 1e-12, f"off by {off:.1e}"
 
 
@@ -84,7 +86,8 @@ def gentle_actions(seed, steps=40):
 
 
 stale_mass = pytest.mark.xfail(
-    strict=True, reason="tasks/env.py places the fingers after robosuite's controller has read its mass matrix, which is stale "
+    strict=True,
+    reason="tasks/env.py places the fingers after robosuite's controller has read its mass matrix, which is stale "
     "for the first substep: 6e-6 rad; 1e-8 once the controller is updated after the reset"
 )  # fmt: skip
 
@@ -94,16 +97,17 @@ stale_mass = pytest.mark.xfail(
 def test_two_seconds_agree_with_robosuites_own_step(native, native_fast, name, seed, record_property):
     """Same model, state and actions; 40 policy steps of robosuite's env.step beside the compiled control step."""
     slow, fast = native(name), native_fast(name)
-    slow.begin(seed), fast.begin(seed)
+    slow.begin(seed)
+    fast.begin(seed)
     arm = slow.model.jnt_qposadr[arm_joints(slow.model)]
     np.testing.assert_allclose(slow.data.qpos, fast.data.qpos, atol=1e-12, err_msg="they start apart")
     worst = 0.0
     for action in gentle_actions(seed):
-        slow.step(action), fast.step(action)
+        slow.step(action)
+        fast.step(action)
         worst = max(worst, float(np.abs(slow.data.qpos[arm] - fast.data.qpos[arm]).max()))
     moved = np.abs(fast.data.qpos[arm] - fast.start[arm]).max()
     record_property("radians", worst)
-    print(f"{name}, seed {seed}: arm qpos at most {worst:.1e} rad apart, having moved {moved:.2f} rad")
     assert moved > 0.02, f"{name}: the arm moved {moved} rad only, which tests nothing"
     assert slow.data.time == pytest.approx(2.0)
     assert worst < 1e-6, f"{name}: arm qpos {worst:.1e} rad from robosuite's env.step within 2 s"
@@ -117,7 +121,9 @@ def test_torques_stay_within_the_arms_limits(native_fast, name):
         for _ in range(5):
             plant.step(scale * rng.uniform(-1, 1, ACTION_SIZE))
             low, high = plant.model.actuator_ctrlrange[:7].T
-            assert (plant.data.ctrl[:7] >= low).all() and (plant.data.ctrl[:7] <= high).all(), f"{name}: {plant.data.ctrl[:7]} N m"
+            assert (plant.data.ctrl[:7] >= low).all() and (plant.data.ctrl[:7] <= high).all(), (
+                f"{name}: {plant.data.ctrl[:7]} N m"
+            )
 
 
 def test_an_action_beyond_one_is_one(native_fast):

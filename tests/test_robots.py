@@ -69,7 +69,9 @@ def test_every_corner_of_the_workspace_is_reachable(native, name):
     robot = native(name)
     start = np.array(robot.data.qpos)
     low = np.array([*OBJECT_XY, TABLE_TOP + robot.task.object.half_height])
-    corners = [low + [dx, dy, 0] + offset for dx, dy in product((-REACH, REACH), repeat=2) for offset in (0 * low, GOAL_OFFSET)]
+    corners = [
+        low + [dx, dy, 0] + offset for dx, dy in product((-REACH, REACH), repeat=2) for offset in (0 * low, GOAL_OFFSET)
+    ]
     for corner in corners:
         qpos = solve_arm(robot.model, start, corner, name)
         position, rotation = grasp_frame(robot.model, qpos)

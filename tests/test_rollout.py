@@ -7,7 +7,17 @@ from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE
 from toolkit.demonstrations import PickScript
 from toolkit.simulation.rollout import RolloutEngine
 
-FIELDS = ("observations", "actions", "rewards", "last_observation", "alpha", "seed", "success", "diverged", "terminated")
+FIELDS = (
+    "observations",
+    "actions",
+    "rewards",
+    "last_observation",
+    "alpha",
+    "seed",
+    "success",
+    "diverged",
+    "terminated",
+)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +41,12 @@ def noisy(observation, rng):
 def batch(space):
     """(alphas, seeds): every robot and the points between, each twice."""
     rng = np.random.default_rng(0)
-    alphas = [space.beta("adroit"), space.beta("kinova3"), 0.5 * (space.beta("adroit") + space.beta("iiwa")), rng.random(space.size)]
+    alphas = [
+        space.beta("adroit"),
+        space.beta("kinova3"),
+        0.5 * (space.beta("adroit") + space.beta("iiwa")),
+        rng.random(space.size),
+    ]
     return [*alphas, *alphas], [0, 1, 2, 3, 10, 11, 12, 13]
 
 
@@ -93,7 +108,8 @@ def test_a_trace_shows_the_episode_that_was_played(engine, space):
 # -- policies gone mad ---------------------------------------------------------------------------------------
 
 not_a_failure = pytest.mark.xfail(
-    strict=True, reason="a policy that returns NaN or inf stops the batch with a ToolkitError of Episode, not with a failed episode"
+    strict=True,
+    reason="a policy that returns NaN or inf stops the batch with a ToolkitError of Episode, not with a failed episode",
 )
 MAD = [
     pytest.param(np.nan, marks=not_a_failure), pytest.param(np.inf, marks=not_a_failure), 1e300, -1e300, 1e12

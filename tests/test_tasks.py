@@ -11,8 +11,17 @@ from robots import ROBOTS
 from tasks import TASKS
 from tasks.objects import OBJECTS, PickObject
 from tasks.pick import (
-    ACTION, ACTION_SIZE, GOAL_OFFSET, OBJECT_XY, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE, TABLE_TOP, PickTask,
-    is_lost, sine_of_rotation,
+    ACTION,
+    ACTION_SIZE,
+    GOAL_OFFSET,
+    OBJECT_XY,
+    OBSERVATION,
+    OBSERVATION_SCALE,
+    OBSERVATION_SIZE,
+    TABLE_TOP,
+    PickTask,
+    is_lost,
+    sine_of_rotation,
 )  # fmt: skip
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import native_env
@@ -21,11 +30,16 @@ from toolkit.simulation.rollout import play
 
 every_object = pytest.mark.parametrize("name", sorted(OBJECTS))
 can_differs = pytest.mark.xfail(
-    strict=True, reason="robosuite's CylinderObject has friction 1, 0.01, 0.001, solref 0.01, 0.5, margin 1 mm and joint "
+    strict=True,
+    reason="robosuite's CylinderObject has friction 1, 0.01, 0.001, solref 0.01, 0.5, margin 1 mm and joint "
     "damping 1e-4; the merged scene gives every object BoxObject's contact instead",
 )  # fmt: skip
 every_object_but_the_can = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=can_differs if item.shape == "cylinder" else ()) for name, item in sorted(OBJECTS.items())]
+    "name",
+    [
+        pytest.param(name, marks=can_differs if item.shape == "cylinder" else ())
+        for name, item in sorted(OBJECTS.items())
+    ],
 )
 every_task = pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
 seeds = st.integers(0, 2**63)
@@ -104,16 +118,22 @@ def test_both_scenes_give_the_object_the_same_inertia_and_free_joint(scenes, nam
     mine, theirs = object_geom(merged_model)[0], object_geom(model)[0]
     for field in ("mass", "inertia", "ipos", "iquat", "gravcomp"):
         a, b = getattr(merged_model, f"body_{field}")[mine], getattr(model, f"body_{field}")[theirs]
-        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-12, err_msg=f"body_{field} of {name}, merged against robosuite")
+        np.testing.assert_allclose(
+            a, b, rtol=1e-6, atol=1e-12, err_msg=f"body_{field} of {name}, merged against robosuite"
+        )
     dofs = [m.jnt_dofadr[m.body_jntadr[b]] + np.arange(6) for m, b in ((merged_model, mine), (model, theirs))]
     for field in ("damping", "armature", "frictionloss"):
         a, b = getattr(merged_model, f"dof_{field}")[dofs[0]], getattr(model, f"dof_{field}")[dofs[1]]
         np.testing.assert_allclose(a, b, err_msg=f"dof_{field} of {name}, merged against robosuite")
 
 
-OPTIONS = ("timestep", "impratio", "density", "cone", "integrator", "solver", "gravity", "wind", "magnetic", "tolerance",
-           "iterations", "ls_iterations", "noslip_iterations", "jacobian", "ccd_iterations", "ccd_tolerance")  # fmt: skip
-viscosity_differs = pytest.mark.xfail(strict=True, reason="robosuite's base.xml has viscosity 2e-5, the merged scene none")
+OPTIONS = (
+    "timestep", "impratio", "density", "cone", "integrator", "solver", "gravity", "wind", "magnetic", "tolerance",
+    "iterations", "ls_iterations", "noslip_iterations", "jacobian", "ccd_iterations", "ccd_tolerance",
+)  # fmt: skip
+viscosity_differs = pytest.mark.xfail(
+    strict=True, reason="robosuite's base.xml has viscosity 2e-5, the merged scene none"
+)
 
 
 @pytest.mark.parametrize("option", [*OPTIONS, pytest.param("viscosity", marks=viscosity_differs)])
@@ -211,9 +231,13 @@ def test_a_start_lies_within_its_noise(task, seed):
     pose, goal = task.sample_start(np.random.default_rng(seed))
     shift = np.abs(pose[:2] - OBJECT_XY).max()
     assert shift <= task.noise_xy, f"seed {seed}: object {shift} m from its place, noise {task.noise_xy} m"
-    assert abs(pose[2] - TABLE_TOP - task.object.half_height) < 1e-12, f"seed {seed}: object floats or sinks, z {pose[2]}"
+    assert abs(pose[2] - TABLE_TOP - task.object.half_height) < 1e-12, (
+        f"seed {seed}: object floats or sinks, z {pose[2]}"
+    )
     turned = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
-    assert np.abs(turned[:2]).max() < 1e-12 and abs(turned[2]) <= task.noise_yaw + 1e-12, f"seed {seed}: turned {turned} rad"
+    assert np.abs(turned[:2]).max() < 1e-12 and abs(turned[2]) <= task.noise_yaw + 1e-12, (
+        f"seed {seed}: turned {turned} rad"
+    )
     np.testing.assert_allclose(goal - pose[:3], GOAL_OFFSET, atol=1e-12)
 
 
@@ -230,7 +254,9 @@ def test_starts_fill_their_noise():
     shift = (poses[:, :2] - OBJECT_XY) / task.noise_xy
     yaw = 2 * np.arctan2(poses[:, 6], poses[:, 3]) / task.noise_yaw
     for values in (*shift.T, yaw):
-        assert values.min() < -0.9 and values.max() > 0.9 and abs(values.mean()) < 0.15, "300 starts do not fill the noise"
+        assert values.min() < -0.9 and values.max() > 0.9 and abs(values.mean()) < 0.15, (
+            "300 starts do not fill the noise"
+        )
 
 
 @pytest.mark.parametrize("seed", [0, 3, 10**9])

@@ -15,7 +15,7 @@ every_robot = pytest.mark.parametrize("name", sorted(ROBOTS))
 
 
 def random_configurations(model, tree, start, rng):
-    """qpos (CONFIGURATIONS, nq): the tree's joints anywhere within their limits (two turns without), the rest at rest."""
+    """qpos (CONFIGURATIONS, nq): the tree's joints anywhere within their limits (a turn without), the rest at rest."""
     out = np.tile(start, (CONFIGURATIONS, 1))
     for joint in tree.joints:
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
@@ -65,7 +65,9 @@ def test_mass_matrix_less_armature_agrees_with_mujoco(scene, name):
 @every_robot
 def test_the_tree_holds_every_joint_of_arm_and_gripper(scene, name):
     model, tree, _ = scene
-    wanted = [model.joint(j).name for j in range(model.njnt) if model.joint(j).name.startswith(("robot0_", "gripper0_"))]
+    wanted = [
+        model.joint(j).name for j in range(model.njnt) if model.joint(j).name.startswith(("robot0_", "gripper0_"))
+    ]
     assert sorted(tree.names) == sorted(wanted)
     assert all(tree.parent(i) < i for i in range(len(tree.joints))), "a joint comes before its parent"
 
