@@ -30,8 +30,10 @@ MIN_SIZE = 1e-5
 """Size [m] of an absent geom; absent geoms do not collide either."""
 HAND_EXTENT = 0.25
 """Half extent [m] of the box within which a hand link's geoms lie, from the link's centre of mass, on every robot."""
-PRESENT = 1e-6
-"""A geom collides, and a coupling is held, from this presence on."""
+HELD = 1e-6
+"""A coupling is held from this share of its full impedance on."""
+TOUCHES = 0.2
+"""A geom collides from this presence on: a thinner sliver would prick the object rather than hold it."""
 BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
 """Radius [m] of the visual bones between joints."""
 HAND_BIT, OBJECT_BIT = 2, 1
@@ -69,6 +71,7 @@ class Patch:
     coupling_limits: np.ndarray
     coupling_friction: np.ndarray
     coupling_impedance: np.ndarray
+    coupling_time: np.ndarray
     coupling_length: np.ndarray
     coupling_held: np.ndarray
     torque_limit: np.ndarray
@@ -161,7 +164,7 @@ class MergedRobot:
             shape_pos=theta["shape_position"] - anchors[self._shape_slot],
             shape_quat=rotation.as_quat(scalar_first=True),
             shape_size=size,
-            shape_contact=np.where(presence > PRESENT, HAND_BIT, 0),
+            shape_contact=np.where(presence > TOUCHES, HAND_BIT, 0),
             shape_friction=theta["shape_friction"],
             shape_solref=theta["shape_solref"],
             shape_margin=theta["shape_margin"][:, 0],
@@ -170,9 +173,12 @@ class MergedRobot:
             coupling_rest=theta["coupling_rest"][:, 0],
             coupling_limits=theta["coupling_limits"],
             coupling_friction=theta["coupling_friction"][:, 0],
-            coupling_impedance=np.outer(held, (0.9, 0.95)),  # MuJoCo's default impedance when fully held
+            # MuJoCo's defaults when fully held. Its constraint acceleration goes as 1 / (impedance * time^2), so a coupling
+            # fades out in proportion to ``held`` only if its time constant grows as the impedance falls.
+            coupling_impedance=np.outer(held, (0.9, 0.95)),
+            coupling_time=0.02 / np.maximum(held, 1e-3),
             coupling_length=theta["coupling_length"][:, 0],
-            coupling_held=held > PRESENT,
+            coupling_held=held > HELD,
             torque_limit=theta["torque_limit"][:, 0],
             bone_pos=bone_pos,
             bone_quat=bone_quat,
@@ -293,6 +299,7 @@ class MergedRobot:
                                          active=bool(p.coupling_held[i]), objtype=mujoco.mjtObj.mjOBJ_TENDON)  # fmt: skip
             equality.data[0] = p.coupling_length[i]
             equality.solimp[:2] = p.coupling_impedance[i]
+            equality.solref[0] = p.coupling_time[i]
 
     def _add_object(self, spec: mujoco.MjSpec) -> None:
         item = self.task.object
@@ -407,3 +414,4 @@ class MergedRobot:
         model.eq_active0[self._equality] = p.coupling_held
         model.eq_data[self._equality, 0] = p.coupling_length
         model.eq_solimp[self._equality, :2] = p.coupling_impedance
+        model.eq_solref[self._equality, 0] = p.coupling_time

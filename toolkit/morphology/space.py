@@ -297,7 +297,7 @@ class EvolutionSpace:
         shapes, xyz = self.shape_slots, ("x", "y", "z")
         rotvec = lambda owner, item: Rotation.from_matrix(owner.rotation @ item.reference.T).as_rotvec()  # noqa: E731
         return [
-            self._item_field("shape_position", "m", xyz, shapes, lambda o, _: o.position),
+            self._shape_positions(),
             self._item_field("shape_rotation", "rad", xyz, shapes, rotvec),
             self._item_field("shape_size", "m", xyz, shapes, lambda o, _: o.size),
             self._item_field("shape_presence", "1", ("",), shapes, lambda o, _: 1.0, absent=0.0),
@@ -305,6 +305,34 @@ class EvolutionSpace:
             self._item_field("shape_solref", "s, 1", ("time", "damping"), shapes, lambda o, _: o.solref),
             self._item_field("shape_margin", "m", ("",), shapes, lambda o, _: o.margin),
         ]
+
+    def _shape_positions(self) -> Field:
+        """Positions of the shapes; where a robot lacks one it hides inside the finger that the robot has.
+
+        A shape that grew in free air, or faded there, would prick the object from where no finger is.
+        """
+        shapes = self.shape_slots
+        rows = [
+            _borrowed([owner.position if owner else self._hiding_place(robot, shape.slot)
+                       for robot, owner in enumerate(shape.owners)])
+            for shape in shapes
+        ]  # fmt: skip
+        elements = tuple(self.matching.slots[shape.slot].element for shape in shapes)
+        values = np.stack(rows, axis=1)
+        return Field("shape_position", tuple(s.name for s in shapes), elements, ("x", "y", "z"), "m", values)
+
+    def _hiding_place(self, robot: int, slot: int) -> np.ndarray | None:
+        """Inside (3,) [m] of what a robot has on a link, or on the nearest link above it in the finger; None: nothing."""
+        system, slots = self.matching.systems[robot], self.matching.slots
+        while slot >= self.matching.arm_size:
+            own = [shape.position for shape in system.shapes if shape.slot == slot]
+            if own:
+                return np.mean(own, axis=0)
+            below = [i for i, s in enumerate(slots) if s.parent == slot and system.present(i)]
+            if system.present(slot) and below:
+                return 0.5 * (system.joints[slot].screw.anchor + system.joints[below[0]].screw.anchor)
+            slot = slots[slot].parent
+        return None
 
     def _coupling_fields(self) -> list[Field]:
         couplings = self.coupling_slots

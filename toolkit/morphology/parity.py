@@ -1,0 +1,410 @@
+"""Parity: how far F(beta_robot) is from the unmodified robosuite robot, in figures; and a picture of the merged tree.
+
+Every figure is a deterministic measurement of two simulations side by side. What the merge changes by design shows in
+them: a merged gripper has no meshes, no contact with itself, and open chains in place of four-bar linkages.
+"""
+
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from matplotlib.axes import Axes
+
+from grippers.gripper import COMMANDED_ROLES
+from robots.robot import Robot
+from tasks.pick import ACTION_SIZE, PickTask
+from toolkit.errors import ToolkitError
+from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.matching import Matching, System
+from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
+from toolkit.simulation.plant import Plant, merged_plant, native_plant
+
+CONFIGURATIONS = 100
+"""Random arm configurations for the forward kinematics and the mass matrix."""
+COMMANDS = tuple(np.linspace(-1.0, 1.0, 9))
+"""Closing commands at which pads are compared."""
+SETTLING = 1.0
+"""Time [s] at each closing command before pads are compared."""
+BOX_HALF_SIZE = np.array([0.04, 0.025, 0.025])
+"""Half extents [m] of the box for the pad force: 5 cm between the pads."""
+CLOSING_STEPS, CLOSING_STEP = 10, 0.05
+"""Steps, and seconds each, in which a gripper closes on the box: robosuite's rate for its two-jaw grippers."""
+SQUEEZE, AVERAGED = 1.5, 0.1
+"""Time [s] from the full closing command to the pad force, and the last part of it over which the force is averaged."""
+SLIPPERY = 1e-3
+"""Friction coefficient on the box: with more, the stall depends on how the fingers came to stick."""
+PAD_FINGERS = ("FF", "TH", "RF")
+"""Fingers whose pads are compared, where the robot has them."""
+CLAMP = 1e6
+"""Armature [kg, kg m^2] and damping [N s/m, N m s/rad] that hold an arm, and the box of the pad force, still."""
+START_SEED = 0
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two robots that are compared: its plant, and where its parts are in the model.
+
+    Attributes:
+        site: of the grasp frame.
+        arm: joint ids from base to flange.
+        fingers: actuator ids, in the order of the plant's command law.
+        pads: finger -> geom id of its outermost pad: the last primitive on the finger's last link.
+        jaws: (bodies of the thumb, bodies of the other fingers).
+        item: body id of the object.
+    """
+
+    plant: Plant
+    site: int
+    arm: list[int]
+    fingers: list[int]
+    pads: dict[str, int]
+    jaws: tuple[set[int], set[int]]
+    item: int
+
+    def clamped(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """A copy at the start with the arm held still, to be stepped without touching the plant."""
+        model = copy.copy(self.plant.model)
+        dofs = model.jnt_dofadr[self.arm]
+        model.dof_armature[dofs], model.dof_damping[dofs] = CLAMP, CLAMP
+        data = mujoco.MjData(model)
+        data.qpos[:] = self.plant.data.qpos
+        return model, data
+
+    def close_to(self, model: mujoco.MjModel, data: mujoco.MjData, command: float, seconds: float) -> None:
+        """Simulate with every finger at one closing command."""
+        data.ctrl[self.fingers] = self.plant.law.targets(np.full(len(COMMANDED_ROLES), command))
+        mujoco.mj_step(model, data, int(round(seconds / model.opt.timestep)))
+        mujoco.mj_forward(model, data)
+
+    def close_until_jaws_meet(self, model: mujoco.MjModel, data: mujoco.MjData, command: float, seconds: float) -> bool:
+        """As ``close_to``; stops and returns True as soon as the thumb touches another finger."""
+        thumb, others = self.jaws
+        for _ in range(int(round(seconds / model.opt.timestep))):
+            self.close_to(model, data, command, model.opt.timestep)
+            pairs = [{int(model.geom_bodyid[c.geom1]), int(model.geom_bodyid[c.geom2])} for c in data.contact]
+            if any(pair & thumb and pair & others for pair in pairs):
+                return True
+        return False
+
+    def pad_poses(self, data: mujoco.MjData) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Finger -> position (3,) [m] and rotation (3, 3) of its pad in the grasp frame."""
+        frame, origin = data.site_xmat[self.site].reshape(3, 3), data.site_xpos[self.site]
+        return {
+            finger: (frame.T @ (data.geom_xpos[geom] - origin), frame.T @ data.geom_xmat[geom].reshape(3, 3))
+            for finger, geom in self.pads.items()
+        }
+
+
+# ---- the two sides ---------------------------------------------------------------------------------------------------
+
+
+def _last_role(robot: Robot, finger: str) -> str | None:
+    """The outermost joint of a finger that the robot has; inner knuckles apart."""
+    roles = [role for role in COMMANDED_ROLES if role.startswith(finger) and role in robot.gripper.joints]
+    return roles[-1] if roles else None
+
+
+def _native_side(robot: Robot, task: PickTask) -> Side:
+    """The unmodified robosuite robot."""
+    plant = native_plant(robot, task)
+    plant.begin(START_SEED)
+    model = plant.model
+    joints, actuators = role_joints(model, robot), role_actuators(model, robot)
+    body_of = {role: int(model.jnt_bodyid[joint]) for role, joint in joints.items()}
+    pads = {}
+    for finger in PAD_FINGERS:
+        role = _last_role(robot, finger)
+        geoms = [] if role is None else [
+            g for g in range(model.ngeom)
+            if model.body_weldid[model.geom_bodyid[g]] == body_of[role] and _is_pad(model, g)
+        ]  # fmt: skip
+        if geoms:
+            pads[finger] = geoms[-1]
+    jaws = (
+        {body for role, body in body_of.items() if role.startswith("TH")},
+        {body for role, body in body_of.items() if not role.startswith("TH")},
+    )
+    fingers = [actuators[role] for role in robot.gripper.targets]
+    item = int(model.body(plant.env.item.root_body).id)
+    return Side(plant, model.site(GRIP_SITE).id, arm_joints(model), fingers, pads, jaws, item)
+
+
+def _is_pad(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom is a collision primitive of the gripper: what the merge keeps."""
+    collides = bool(model.geom_contype[geom] | model.geom_conaffinity[geom])
+    primitive = model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH
+    return collides and primitive and model.geom(geom).name.startswith(GRIPPER_PREFIX)
+
+
+def _merged_side(merged: MergedRobot, index: int) -> Side:
+    """F(beta) of the robot at ``index``."""
+    space, matching = merged.space, merged.space.matching
+    plant = merged_plant(merged, space.betas[index], *merged.new())
+    plant.begin(START_SEED)
+    model, robot = plant.model, matching.systems[index].robot
+    pads = {}
+    for finger in PAD_FINGERS:
+        role = _last_role(robot, finger)
+        shapes = [s for s in space.shape_slots if matching.slots[s.slot].name == role and s.owners[index] is not None]
+        if shapes:  # the robot's own order, which sorting by kind may have lost
+            order = [id(shape) for shape in matching.systems[index].shapes]
+            pads[finger] = model.geom(max(shapes, key=lambda s: order.index(id(s.owners[index]))).name).id
+    arm = [model.joint(slot.name).id for slot in matching.slots[: matching.arm_size]]
+    fingers = [model.actuator(role).id for role in COMMANDED_ROLES]
+    return Side(plant, model.site("grasp").id, arm, fingers, pads, (set(), set()), model.body("object").id)  # its jaws never touch
+
+
+# ---- figures ---------------------------------------------------------------------------------------------------------
+
+
+def parity(merged: MergedRobot, robot: Robot) -> dict[str, str | float]:
+    """Measure F(beta) of a robot against the unmodified robosuite robot.
+
+    Args:
+        merged: the merged robot in its task.
+        robot: one of its robots.
+
+    Returns:
+        name;
+        arm_fk_error_m: largest distance of the grasp frames over 100 random arm configurations within the limits;
+        arm_mass_matrix_rel_error: largest entry of the difference of the arm's mass matrices over the largest entry of
+        the robot's own, fingers at their start, over the same configurations;
+        pad_position_error_m, pad_angle_error_deg: largest difference of the fingers' last pads in the grasp frame, both
+        grippers settled for 1 s at the same closing command in free air with the arm held still, from open until the
+        robot's own thumb touches a finger;
+        pad_force_rel_error: see ``squeeze``; the difference relative to the robot's own force;
+        grasp_frame_drift_m: largest distance of the grasp frames during 1 s of the same random OSC commands in free
+        space, gripper open.
+
+    Raises:
+        ToolkitError: the robot is not part of the merged robot.
+    """
+    names = merged.space.matching.names
+    if robot.name not in names:
+        raise ToolkitError(f"robot {robot.name!r} is not in this merged robot; it has {', '.join(names)}")
+    index = names.index(robot.name)
+    mine, own = _merged_side(merged, index), _native_side(robot, merged.task)
+    fk, mass = arm_errors(mine, own, merged.space.matching.systems[index])
+    position, angle = pad_errors(mine, own)
+    force, own_force = squeeze(mine), squeeze(own)
+    return {
+        "name": robot.name,
+        "arm_fk_error_m": fk,
+        "arm_mass_matrix_rel_error": mass,
+        "pad_position_error_m": position,
+        "pad_angle_error_deg": angle,
+        "pad_force_rel_error": abs(force - own_force) / max(own_force, 1e-9),
+        "grasp_frame_drift_m": drift(mine, own),
+    }
+
+
+def arm_errors(mine: Side, own: Side, system: System) -> tuple[float, float]:
+    """Largest grasp frame distance [m] and relative arm mass matrix error over random configurations."""
+    rng = np.random.default_rng(START_SEED)
+    joints = system.joints[: len(own.arm)]
+    sign, start = np.array([j.sign for j in joints]), np.array([j.start for j in joints])
+    limited = own.plant.model.jnt_limited[own.arm][:, None].astype(bool)
+    low, high = np.where(limited, own.plant.model.jnt_range[own.arm], (-np.pi, np.pi)).T
+    pair = [(side, mujoco.MjData(side.plant.model)) for side in (mine, own)]
+    for side, data in pair:
+        data.qpos[:] = side.plant.data.qpos
+    worst_fk = worst_mass = 0.0
+    for _ in range(CONFIGURATIONS):
+        angles = rng.uniform(low, high)
+        frames, matrices = [], []
+        for (side, data), arm in zip(pair, (sign * (angles - start), angles), strict=True):
+            model, dofs = side.plant.model, side.plant.model.jnt_dofadr[side.arm]
+            data.qpos[model.jnt_qposadr[side.arm]] = arm
+            mujoco.mj_forward(model, data)
+            full = np.empty((model.nv, model.nv))
+            mujoco.mj_fullM(model, full, data.qM)
+            frames.append(np.array(data.site_xpos[side.site]))
+            matrices.append(full[np.ix_(dofs, dofs)])
+        off = np.abs(sign[:, None] * matrices[0] * sign - matrices[1]).max() / np.abs(matrices[1]).max()
+        worst_fk = max(worst_fk, float(np.linalg.norm(frames[0] - frames[1])))
+        worst_mass = max(worst_mass, float(off))
+    return worst_fk, worst_mass
+
+
+def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
+    """Largest pad position error [m] and angle error [degrees] from open until the robot's own jaws meet."""
+    pair = [(side, *side.clamped()) for side in (mine, own)]
+    position = angle = 0.0
+    (_, model, data), (_, own_model, own_data) = pair
+    for command in COMMANDS:
+        if own.close_until_jaws_meet(own_model, own_data, command, SETTLING):
+            break
+        mine.close_to(model, data, command, SETTLING)
+        poses = [side.pad_poses(data) for side, _, data in pair]
+        for finger in own.pads:
+            (p, P), (q, Q) = poses[0][finger], poses[1][finger]
+            position = max(position, float(np.linalg.norm(p - q)))
+            # Stable for tiny angles, where the arc cosine of the trace is not.
+            angle = max(angle, float(np.rad2deg(2.0 * np.arcsin(min(1.0, np.linalg.norm(P - Q) / np.sqrt(8.0))))))
+    return position, angle
+
+
+def squeeze(side: Side) -> float:
+    """Stall force [N]: sum of the normal contact forces on a box 5 cm wide, 1.5 s after the full closing command.
+
+    The box is fixed in the grasp frame's origin, its narrow side along the closing axis, and nearly without friction, so
+    that the stall is one state and not one of many. The arm is held still and nothing weighs anything. The gripper closes
+    from its start within 0.5 s, whatever its own rate. Meshes of the robosuite gripper that touch the box count.
+    """
+    model, data = side.clamped()
+    model.opt.gravity[:] = 0.0
+    _become_box(model, side.item)
+    joint = int(model.body_jntadr[side.item])
+    dofs = model.jnt_dofadr[joint] + np.arange(6)
+    model.dof_armature[dofs], model.dof_damping[dofs] = CLAMP, CLAMP
+    model.geom_friction[:] = SLIPPERY
+    address = int(model.jnt_qposadr[joint])
+    data.qpos[address : address + 7] = (*side.plant.data.site_xpos[side.site], 1.0, 0.0, 0.0, 0.0)
+    start = side.plant.law.preshape
+    for command in np.linspace(start, 1.0, CLOSING_STEPS + 1)[1:]:
+        side.close_to(model, data, command, CLOSING_STEP)
+    side.close_to(model, data, 1.0, SQUEEZE - AVERAGED)
+    samples = []
+    for _ in range(int(round(AVERAGED / model.opt.timestep))):
+        mujoco.mj_step(model, data)
+        samples.append(_force_on(model, data, side.item))
+    return float(np.mean(samples))
+
+
+def _become_box(model: mujoco.MjModel, body: int) -> None:
+    geoms = np.flatnonzero(model.geom_bodyid == body)
+    model.geom_type[geoms] = mujoco.mjtGeom.mjGEOM_BOX
+    model.geom_size[geoms] = BOX_HALF_SIZE
+    model.geom_rbound[geoms] = np.linalg.norm(BOX_HALF_SIZE)
+    model.geom_aabb[geoms] = (0.0, 0.0, 0.0, *BOX_HALF_SIZE)
+    nodes = np.arange(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
+    model.bvh_aabb[nodes, 3:] = 2.0 * BOX_HALF_SIZE.max()  # loose: only the broad phase looks at it
+
+
+def _force_on(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:
+    """Sum of the normal contact forces [N] on a body."""
+    force, total = np.zeros(6), 0.0
+    for contact in range(data.ncon):
+        geoms = data.contact[contact].geom
+        if body in model.geom_bodyid[geoms]:
+            mujoco.mj_contactForce(model, data, contact, force)
+            total += abs(float(force[0]))
+    return total
+
+
+def drift(mine: Side, own: Side) -> float:
+    """Largest distance [m] of the grasp frames in 1 s of the same random OSC commands in free space, gripper open."""
+    rng = np.random.default_rng(START_SEED)
+    sides = (mine, own)
+    for side in sides:
+        side.plant.begin(START_SEED)
+    worst = 0.0
+    for _ in range(int(mine.plant.task.control_frequency)):
+        action = np.full(ACTION_SIZE, -1.0)
+        action[:6] = np.array([0, 0, 0.4, 0, 0, 0]) + rng.uniform(-0.5, 0.5, 6)  # upwards, off the table
+        for side in sides:
+            side.plant.step(action)
+        places = [side.plant.data.site_xpos[side.site] for side in sides]
+        worst = max(worst, float(np.linalg.norm(places[0] - places[1])))
+    return worst
+
+
+# ---- the merged tree, drawn ------------------------------------------------------------------------------------------
+
+# Okabe and Ito's colours (2008), told apart under every common colour blindness; each robot also keeps its own sector.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+NODE_RADIUS = 0.27
+"""Of a joint's disc, in columns."""
+
+
+def plot_merged_tree(matching: Matching, path: str | Path) -> None:
+    """Draw the merged tree: a disc per joint with one sector per robot, coloured where that robot has the joint.
+
+    The arm's joints, which every robot has, are one node.
+
+    Args:
+        matching: the merged tree.
+        path: image file; the suffix chooses the format (.png, .svg, .pdf).
+
+    Raises:
+        ToolkitError: the file cannot be written, or its suffix names no image format.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    spots = _layout(matching)
+    columns, rows = spots.max(axis=0)
+    figure = Figure(figsize=(1.25 * (columns + 2.4), 1.1 * (rows + 2.3)), facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    _draw_bones(axes, matching, spots)
+    for index, slot in enumerate(matching.slots):
+        if index < matching.arm_size - 1:
+            continue
+        _draw_joint(axes, spots[index], [system.present(index) for system in matching.systems])
+        arm = f"arm1 to arm{matching.arm_size}\n({matching.arm_size} joints in a row)"
+        label = arm if index == matching.arm_size - 1 else slot.name
+        axes.annotate(label, spots[index] + [0, NODE_RADIUS + 0.07], ha="center", va="top", fontsize=9)
+    _draw_key(axes, matching, columns)
+    axes.set(xlim=(-1.6, columns + 0.6), ylim=(rows + 0.7, -1.5), aspect="equal")
+    axes.set_title(f"Merged kinematic tree of {', '.join(matching.names)}", fontsize=11)
+    axes.set_axis_off()
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        raise ToolkitError(f"the plot cannot be written to {path} ({error}); name a .png or .svg file") from error
+
+
+def _layout(matching: Matching) -> np.ndarray:
+    """(slots, 2) column and row of each slot: a row per finger, a column per joint from the flange."""
+    flange = matching.arm_size - 1
+    spots = np.zeros((len(matching.slots), 2))
+    children: dict[int, list[int]] = {}
+    for index, slot in enumerate(matching.slots[flange + 1 :], start=flange + 1):
+        children.setdefault(slot.parent, []).append(index)
+        spots[index, 0] = spots[slot.parent, 0] + 1
+    # A finger's inner knuckle lies beside that finger.
+    fingers = sorted(children[flange], key=lambda i: [s.element for s in matching.slots].index(matching.slots[i].element))
+    for row, finger in enumerate(fingers):
+        below = [finger]
+        while below:
+            spots[below, 1] = row
+            below = [child for index in below for child in children.get(index, [])]
+    spots[: flange + 1] = (-0.35, (len(fingers) - 1) / 2)
+    return spots
+
+
+def _draw_bones(axes: Axes, matching: Matching, spots: np.ndarray) -> None:
+    (x, y), flange = spots[matching.arm_size - 1], matching.arm_size - 1
+    axes.plot([x - 0.85, x], [y, y], color="#777777", linewidth=5, zorder=1, solid_capstyle="butt")
+    axes.annotate("world", (x - 0.9, y), ha="center", va="center", fontsize=9, rotation=90)
+    for index, slot in enumerate(matching.slots):
+        if index > flange:
+            (x, y), (u, v) = spots[slot.parent], spots[index]
+            bend = (u - 0.5, u - 0.5) if slot.parent == flange else (x, u)
+            axes.plot([x, *bend, u], [y, y, v, v], color="#777777", linewidth=1.5, zorder=1)
+
+
+def _draw_joint(axes: Axes, spot: np.ndarray, owned: list[bool]) -> None:
+    """A disc of equal sectors, clockwise from the top, the first robot first."""
+    from matplotlib.patches import Wedge
+
+    width = 360.0 / len(owned)
+    for k, has in enumerate(owned):
+        start = -90.0 + k * width  # the row axis points down, so angles grow clockwise
+        axes.add_patch(
+            Wedge(tuple(spot), NODE_RADIUS, start, start + width, facecolor=COLOURS[k % len(COLOURS)] if has else "white",
+                  edgecolor="#333333", linewidth=0.8, zorder=3)
+        )  # fmt: skip
+
+
+def _draw_key(axes: Axes, matching: Matching, columns: float) -> None:
+    """One disc per robot that shows its sector alone, with its name and number of joints."""
+    step = (columns + 1.6) / len(matching.names)
+    for k, system in enumerate(matching.systems):
+        spot = np.array([-0.8 + k * step, -1.05])
+        _draw_joint(axes, spot, [other == k for other in range(len(matching.systems))])
+        text = f"{system.robot.name}\n{sum(system.present(i) for i in range(len(matching.slots)))} joints"
+        axes.annotate(text, spot + [NODE_RADIUS + 0.1, 0.0], ha="left", va="center", fontsize=9)
