@@ -24,6 +24,12 @@ ROLES: tuple[str, ...] = tuple(ROLE_PARENT)
 COMMANDED_ROLES: tuple[str, ...] = tuple(role for role in ROLES if not role.endswith("K"))
 """Roles that the policy commands: one action entry each, -1 open, +1 closed (robosuite's sign)."""
 
+ROLE_SENSE: dict[str, tuple[float, float, float]] = {
+    "FFJ1": (1, 0, 0), "MFJ1": (1, 0, 0), "RFJ1": (1, 0, 0), "THJ1": (1, 0, 0), "FFK": (1, 0, 0), "THK": (-1, 0, 0),
+}  # fmt: skip
+"""Positive sense of roles that no actuator closes: the world direction, at the start posture, on whose side the joint's
+axis lies when its angle counts as positive. Driven roles count positive in the closing sense."""
+
 CLOSING_ROLES: tuple[str, ...] = ("FFJ2", "FFJ1", "THJ4", "THJ1")
 """Roles whose mean command is the one closing command of a gripper: the flexion of index and thumb."""
 

@@ -9,7 +9,7 @@ from robosuite.models.objects import BoxObject, CylinderObject
 from robosuite.models.tasks import ManipulationTask
 
 from robots.robot import Robot
-from tasks.pick import TABLE_FULL_SIZE, TABLE_TOP, PickTask, at_goal, is_lost
+from tasks.pick import OBJECT_FRICTION, OBJECT_SOLREF, TABLE_FULL_SIZE, TABLE_TOP, PickTask, at_goal, is_lost
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,10 @@ class Pick(ManipulationEnv):
         arena.set_origin([0, 0, 0])
         item = self.task.object
         kind = BoxObject if item.shape == "box" else CylinderObject
-        self.item = kind(name="object", size=list(item.half_size), density=item.mass / item.volume, rgba=[0.9, 0.3, 0.2, 1])
+        self.item = kind(
+            name="object", size=list(item.half_size), density=item.mass / item.volume, rgba=[0.9, 0.3, 0.2, 1],
+            friction=list(OBJECT_FRICTION), solref=list(OBJECT_SOLREF), joints=[{"type": "free"}],
+        )  # fmt: skip
         self.model = ManipulationTask(
             mujoco_arena=arena, mujoco_robots=[robot.robot_model], mujoco_objects=self.item
         )  # fmt: skip
@@ -82,6 +85,9 @@ class Pick(ManipulationEnv):
             self.sim.data.qpos[self.robots[0]._ref_gripper_joint_pos_indexes["right"]] = self.start.fingers
         if self.start.command is not None:
             gripper.current_action = np.array(self.start.command)
+        # robosuite's controller has read the robot before the fingers were placed; its mass matrix must not be stale.
+        self.sim.forward()
+        self.robots[0].part_controllers["right"].update(force=True)
         pose, self.goal = self.task.sample_start(self._start_rng)
         self.sim.data.set_joint_qpos(self.item.joints[0], pose)
         self._held, self.succeeded, self.lost = 0, False, False

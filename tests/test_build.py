@@ -285,12 +285,7 @@ def test_without_air_the_merged_robot_follows_closer_still(merged, native_fast, 
     assert worst < 0.1, f"{name}: grasp frame {worst:.4f} mm from the unmodified robot's within 1 s, without air"
 
 
-locked_against_stop = pytest.mark.xfail(
-    strict=True, reason="kinova3's locked inner knuckles start 0.2 rad beyond their limits, which push them with 39 N m"
-)
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=locked_against_stop if n == "kinova3" else ()) for n in ROBOTS])
+@pytest.mark.parametrize("name", list(ROBOTS))
 def test_frozen_joints_stay_where_they_froze(merged, space, name):
     plant = merged_plant(merged, space.beta(name), *merged.new())
     plant.begin(0)

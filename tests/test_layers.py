@@ -56,16 +56,7 @@ def test_leaves_never_import_the_toolkit(path):
     assert not found, f"{label(path)} imports the toolkit on lines {found}"
 
 
-signs_know_adroit = pytest.mark.xfail(
-    strict=True, reason="_finger_signs imports robots.ROBOTS to find the reference hand"
-)
-
-
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=signs_know_adroit if label(path) == "toolkit/morphology/matching.py" else ())
-     for path in TOOLKIT if path != CLI], ids=label,
-)  # fmt: skip
+@pytest.mark.parametrize("path", [path for path in TOOLKIT if path != CLI], ids=label)
 def test_the_toolkit_knows_no_robot_by_name(path):
     """Concrete robots and grippers come in as arguments; only the command line looks names up."""
     allowed = {"robots.robot", "grippers.gripper"}

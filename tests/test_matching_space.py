@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
-from toolkit.morphology.matching import finger_signs, match
+from toolkit.morphology.matching import match
 from toolkit.morphology.space import (
     axis_to_tangent,
     gyration,
@@ -62,12 +62,7 @@ def test_screws_stand_where_mujoco_puts_the_joints(matching, native, name):
         )
 
 
-rests_beyond = pytest.mark.xfail(
-    strict=True, reason="kinova3's jaws come to rest 0.027 rad, its inner knuckles 0.204 rad beyond a limit"
-)
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=rests_beyond if n == "kinova3" else ()) for n in ROBOTS])
+@pytest.mark.parametrize("name", list(ROBOTS))
 def test_the_start_lies_within_every_merged_limit(matching, name):
     """Zero is the start posture; a joint may rest against its soft stop, a degree beyond, and no further."""
     system = matching.systems[matching.names.index(name)]
@@ -86,12 +81,11 @@ def test_fingers_close_in_the_positive_sense(matching, name):
 
 
 @every_robot
-def test_observed_fingers_turn_alike_whoever_else_is_merged(matching, name):
+def test_observed_fingers_turn_alike_in_the_native_scene(matching, native, name):
     system = matching.systems[matching.names.index(name)]
     signs = {slot.name: j.sign for slot, j in zip(matching.slots, system.joints, strict=True) if j}
-    alone = finger_signs(ROBOTS[name])
-    observed = [role for role in COMMANDED_ROLES if role in signs]
-    assert observed and [alone[role] for role in observed] == [signs[role] for role in observed]
+    alone = {role: sign for role, (q, sign, _) in zip(COMMANDED_ROLES, native(name)._fingers, strict=True) if q >= 0}
+    assert alone and alone == {role: signs[role] for role in alone}
 
 
 def test_one_robot_is_no_merged_tree():

@@ -85,14 +85,7 @@ def gentle_actions(seed, steps=40):
     return actions
 
 
-stale_mass = pytest.mark.xfail(
-    strict=True,
-    reason="tasks/env.py places the fingers after robosuite's controller has read its mass matrix, which is stale "
-    "for the first substep: 6e-6 rad; 1e-8 once the controller is updated after the reset"
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=stale_mass if n == "adroit" else ()) for n in ROBOTS])
+@pytest.mark.parametrize("name", list(ROBOTS))
 @pytest.mark.parametrize("seed", [0, 1])
 def test_two_seconds_agree_with_robosuites_own_step(native, native_fast, name, seed, record_property):
     """Same model, state and actions; 40 policy steps of robosuite's env.step beside the compiled control step."""

@@ -29,18 +29,6 @@ from toolkit.simulation.plant import merged_plant
 from toolkit.simulation.rollout import play
 
 every_object = pytest.mark.parametrize("name", sorted(OBJECTS))
-can_differs = pytest.mark.xfail(
-    strict=True,
-    reason="robosuite's CylinderObject has friction 1, 0.01, 0.001, solref 0.01, 0.5, margin 1 mm and joint "
-    "damping 1e-4; the merged scene gives every object BoxObject's contact instead",
-)  # fmt: skip
-every_object_but_the_can = pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=can_differs if item.shape == "cylinder" else ())
-        for name, item in sorted(OBJECTS.items())
-    ],
-)
 every_task = pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
 seeds = st.integers(0, 2**63)
 
@@ -92,7 +80,7 @@ def assert_same_contact(what, merged_model, mine, model, theirs):
         np.testing.assert_allclose(a, b, rtol=1e-9, err_msg=f"{what}: geom_{field}, merged against robosuite")
 
 
-@every_object_but_the_can
+@every_object
 def test_both_scenes_hold_the_same_object(scenes, name):
     env, merged_model = scenes(name)
     model = env.sim.model._model
@@ -111,7 +99,7 @@ def test_both_scenes_hold_the_same_table(scenes):
     np.testing.assert_allclose(merged_data.geom_xmat[mine], data.geom_xmat[theirs], atol=1e-9)
 
 
-@every_object_but_the_can
+@every_object
 def test_both_scenes_give_the_object_the_same_inertia_and_free_joint(scenes, name):
     env, merged_model = scenes(name)
     model = env.sim.model._model
@@ -131,12 +119,9 @@ OPTIONS = (
     "timestep", "impratio", "density", "cone", "integrator", "solver", "gravity", "wind", "magnetic", "tolerance",
     "iterations", "ls_iterations", "noslip_iterations", "jacobian", "ccd_iterations", "ccd_tolerance",
 )  # fmt: skip
-viscosity_differs = pytest.mark.xfail(
-    strict=True, reason="robosuite's base.xml has viscosity 2e-5, the merged scene none"
-)
 
 
-@pytest.mark.parametrize("option", [*OPTIONS, pytest.param("viscosity", marks=viscosity_differs)])
+@pytest.mark.parametrize("option", [*OPTIONS, "viscosity"])
 def test_both_scenes_have_the_same_physics(scenes, option):
     env, merged_model = scenes("061_foam_brick")
     mine, theirs = getattr(merged_model.opt, option), getattr(env.sim.model._model.opt, option)

@@ -83,7 +83,9 @@ class NativeRobot:
         self.model: mujoco.MjModel = self.env.sim.model._model
         self.data: mujoco.MjData = self.env.sim.data._data
         self.law = command_law(robot)
-        self._fingers = finger_map(robot, self.model)
+        mujoco.mj_forward(self.model, self.data)
+        self._fingers = finger_map(robot, self.model, self.data)
+        self.command = np.full(len(COMMANDED_ROLES), self.law.preshape)
         self._site = self.model.site(GRIP_SITE).id
         actuators = role_actuators(self.model, robot)
         driven = [actuators[role] for role in robot.gripper.targets]

@@ -29,11 +29,16 @@ class ExpertConfig:
     noise: float = 0.12
     """Standard deviation of the noise that perturbs the demonstrated motion (the label stays the script's action), so
     that the clone learns to come back (Laskey et al. 2017, DART)."""
+    finger_noise: float = 0.3
+    """Standard deviation [rad] of noise added to the finger joints that the clone sees, on copies of the data: so that it
+    judges a grasp by object and command rather than by one hand's exact posture."""
+    copies: int = 3
+    """Noisy copies of the demonstrations."""
     updates: int = 30
     """Natural-gradient updates after cloning."""
     seed: int = 0
     """Of everything random."""
-    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=120, init_log_std=-2.0))
+    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=50, init_log_std=-2.0))
     """Behaviour cloning."""
     npg: NpgConfig = field(default_factory=lambda: NpgConfig(step_size=0.005, batch_size=24))
     """The learner; larger steps than in transfer, as nothing is lost if the clone changes."""
@@ -65,6 +70,16 @@ class NoisyScript:
         return action
 
 
+def _with_finger_noise(
+    observations: np.ndarray, actions: np.ndarray, config: ExpertConfig, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """The data (N, n_obs), (N, n_act) followed by copies whose finger joints are noisy."""
+    noise = np.zeros((config.copies + 1, *observations.shape))
+    fingers = sum(name.startswith("finger/") for name in OBSERVATION)
+    noise[1:, :, :fingers] = config.finger_noise * rng.standard_normal((config.copies, len(observations), fingers))
+    return (observations + noise).reshape(-1, observations.shape[1]), np.tile(actions, (config.copies + 1, 1))
+
+
 def train_expert(
     engine: RolloutEngine,
     source: str,
@@ -91,7 +106,8 @@ def train_expert(
     policy, value = new_learner(config.seed)
     observations = np.concatenate([episode.observations for episode in kept])
     wanted = np.array([script(observation) for observation in observations])
-    losses = clone(policy, observations, wanted, config.cloning, rng, scale_floor=OBSERVATION_SCALE,
+    seen, labels = _with_finger_noise(observations, wanted, config, rng)
+    losses = clone(policy, seen, labels, config.cloning, rng, scale_floor=OBSERVATION_SCALE,
                    progress=lambda epoch, loss: report({"event": "cloning", "epoch": epoch, "loss": loss}))  # fmt: skip
     for update in range(config.updates):
         size = config.npg.batch_size

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tasks.pick import OBJECT_XY, START_POSITION, START_ROTATION, TABLE_FULL_SIZE, TABLE_TOP, PickTask
+from tasks.pick import OBJECT_FRICTION, OBJECT_MARGIN, OBJECT_SOLREF, OBJECT_XY, START_POSITION, START_ROTATION, TABLE_FULL_SIZE, TABLE_TOP, PickTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.space import (
     FREEZE_DECADES,
@@ -210,7 +210,8 @@ class MergedRobot:
         spec.modelname = "merged"
         spec.compiler.degree = False
         # robosuite 1.5.1, base.xml and table arena.
-        spec.option.timestep, spec.option.impratio, spec.option.density = 0.002, 20.0, 1.2
+        spec.option.timestep, spec.option.impratio = 0.002, 20.0
+        spec.option.density, spec.option.viscosity = 1.2, 2e-5
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         # Bounding-volume trees of bodies are compiled; few geoms per body make them useless, and F would have to mend them.
         spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_MIDPHASE
@@ -227,7 +228,7 @@ class MergedRobot:
         half = np.array(TABLE_FULL_SIZE) / 2
         spec.worldbody.add_geom(
             name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]],
-            friction=[1, 0.005, 0.0001], contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
+            friction=OBJECT_FRICTION, contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
             rgba=[0.75, 0.72, 0.68, 1],
         )  # fmt: skip
         spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
@@ -308,8 +309,8 @@ class MergedRobot:
         kind = mujoco.mjtGeom.mjGEOM_BOX if item.shape == "box" else mujoco.mjtGeom.mjGEOM_CYLINDER
         size = [*item.half_size, *([0.0] * (3 - len(item.half_size)))]
         body.add_geom(
-            name="object", type=kind, size=size, density=item.mass / item.volume, friction=[1, 0.005, 0.0001],
-            contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
+            name="object", type=kind, size=size, density=item.mass / item.volume, friction=OBJECT_FRICTION,
+            solref=OBJECT_SOLREF, margin=OBJECT_MARGIN[item.shape], contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
         )  # fmt: skip
 
     def compile(self, alpha: np.ndarray) -> mujoco.MjModel:

@@ -11,17 +11,15 @@ source's sense. So zero and plus mean the same for all.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import mujoco
 import numpy as np
 
-from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLES
+from grippers.gripper import ROLE_PARENT, ROLE_SENSE, ROLES
 from robots.robot import Robot
 from tasks import TASKS
-from tasks.pick import START_POSITION
 from toolkit.errors import ToolkitError
-from toolkit.morphology.posture import arm_joints, close_in_air, native_env, role_actuators, role_joints, start_of, target_at
+from toolkit.morphology.posture import arm_joints, close_in_air, native_env, role_actuators, role_joints, target_at
 from toolkit.morphology.tree import KinematicTree, Screw
 
 UNLIMITED_ANGLE = 4 * np.pi
@@ -172,18 +170,29 @@ def merged_slots(arm_size: int) -> tuple[Slot, ...]:
     return tuple(slots)
 
 
-def _signed(screw: Screw, reference: np.ndarray | None, closing: float) -> tuple[Screw, float]:
-    """The screw with its axis turned so that closing is positive; a joint that does not close follows the reference."""
-    sign = -1.0 if reference is not None and screw.axis @ reference < 0 else 1.0
-    sign = float(np.sign(closing)) if closing else sign
-    return replace(screw, axis=sign * screw.axis), sign
+def _side(axis: np.ndarray, reference: Sequence[float] | np.ndarray | None) -> float:
+    """+1 if an axis (3,) lies on the reference's side (or there is none), else -1."""
+    return -1.0 if reference is not None and axis @ np.asarray(reference) < 0 else 1.0
+
+
+def finger_sign(robot: Robot, role: str, axis: np.ndarray) -> float:
+    """Sign of a gripper joint's angle in the merged robot: closing is positive, else ROLE_SENSE decides.
+
+    Args:
+        robot: whose gripper.
+        role: of the joint.
+        axis: its axis (3,) at the start posture, world.
+    """
+    opened, closed = robot.gripper.targets.get(role, (0.0, 0.0))
+    return float(np.sign(closed - opened)) if closed != opened else _side(axis, ROLE_SENSE.get(role))
 
 
 def _joint(model: mujoco.MjModel, joint: int, screw: Screw, sign: float, start: float) -> Joint:
     dof = model.jnt_dofadr[joint]
     limits = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
     if model.jnt_limited[joint]:
-        limits = tuple(sorted(sign * (model.jnt_range[joint] - start)))
+        low, high = sorted(sign * (model.jnt_range[joint] - start))
+        limits = (min(low, 0.0), max(high, 0.0))  # a jaw at rest may lean a little on its limit
     return Joint(
         screw, sign, start, joint, limits, float(model.dof_damping[dof]), float(model.dof_armature[dof]),
         float(model.dof_frictionloss[dof]), float(model.jnt_margin[joint]),
@@ -267,7 +276,8 @@ def _equivalent_linkage(
         speed = a.sign * closing.speeds[driven]
         damping = float(lag @ speed / (speed @ speed))
         joints[index[driven]] = replace(a, damping=damping)
-        joints[index[knuckle]] = replace(joints[index[knuckle]], locked=True)
+        wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)  # nothing may push against the lock
+        joints[index[knuckle]] = replace(joints[index[knuckle]], locked=True, limits=wide)
         out.append(
             Coupling({index[driven]: -gear, index[pad]: 1.0}, 0.0, 0.0, (-UNLIMITED_LENGTH, UNLIMITED_LENGTH), 0.0, True, 0.0)
         )
@@ -315,8 +325,8 @@ def read_system(robot: Robot, slots: Sequence[Slot], axes: dict[int, np.ndarray]
         if joint not in slot_of:
             raise ToolkitError(f"gripper {robot.gripper.name}: joint {model.joint(joint).name!r} has no role")
         slot = slot_of[joint]
-        opened, closed = robot.gripper.targets.get(slots[slot].name, (0.0, 0.0))
-        screw, sign = _signed(screw, axes.get(slot), closed - opened)
+        sign = finger_sign(robot, slots[slot].name, screw.axis) if slot >= arm_size else _side(screw.axis, axes.get(slot))
+        screw = replace(screw, axis=sign * screw.axis)
         axes.setdefault(slot, screw.axis)
         joints[slot] = _joint(model, joint, screw, sign, float(data.qpos[model.jnt_qposadr[joint]]))
     for role, actuator in role_actuators(model, robot).items():
@@ -338,23 +348,6 @@ def read_system(robot: Robot, slots: Sequence[Slot], axes: dict[int, np.ndarray]
     return system, meshes
 
 
-def finger_signs(robot: Robot) -> dict[str, float]:
-    """Role -> sign of the robot's joint angle in the merged robot (see Joint.sign), with ADROIT as the reference."""
-    return dict(_finger_signs(robot))
-
-
-@lru_cache(maxsize=32)
-def _finger_signs(robot: Robot) -> tuple[tuple[str, float], ...]:
-    from robots import ROBOTS  # the reference hand only fixes signs of joints that do not close
-
-    reference = next(r for r in ROBOTS.values() if r.source_of_policy)
-    slots = merged_slots(len(robot.posture_seed))
-    axes: dict[int, np.ndarray] = {}
-    read_system(reference, slots, axes)
-    system, _ = read_system(robot, slots, axes)
-    return tuple((slots[i].name, joint.sign) for i, joint in enumerate(system.joints) if joint is not None)
-
-
 def match(robots: Sequence[Robot]) -> Matching:
     """The merged tree of several robots, the source first.
 
@@ -372,5 +365,3 @@ def match(robots: Sequence[Robot]) -> Matching:
         {robot.name: meshes for robot, (_, meshes) in zip(robots, read, strict=True)},
     )  # fmt: skip
 
-
-__all__ = ["COMMANDED_ROLES", "START_POSITION", "Matching", "Slot", "System", "match", "start_of"]

@@ -153,7 +153,8 @@ def _merged_side(merged: MergedRobot, index: int) -> Side:
             pads[finger] = model.geom(max(shapes, key=lambda s: order.index(id(s.owners[index]))).name).id
     arm = [model.joint(slot.name).id for slot in matching.slots[: matching.arm_size]]
     fingers = [model.actuator(role).id for role in COMMANDED_ROLES]
-    return Side(plant, model.site("grasp").id, arm, fingers, pads, (set(), set()), model.body("object").id)  # its jaws never touch
+    never_meet: tuple[set[int], set[int]] = (set(), set())
+    return Side(plant, model.site("grasp").id, arm, fingers, pads, never_meet, model.body("object").id)
 
 
 # ---- figures ---------------------------------------------------------------------------------------------------------
@@ -249,9 +250,9 @@ def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
 def squeeze(side: Side) -> float:
     """Stall force [N]: sum of the normal contact forces on a box 5 cm wide, 1.5 s after the full closing command.
 
-    The box is fixed in the grasp frame's origin, its narrow side along the closing axis, and nearly without friction, so
-    that the stall is one state and not one of many. The arm is held still and nothing weighs anything. The gripper closes
-    from its start within 0.5 s, whatever its own rate. Meshes of the robosuite gripper that touch the box count.
+    The box is fixed in the grasp frame's origin, its narrow side along the closing axis, and nearly without friction,
+    so that the stall is one state and not one of many. The arm is held still and nothing weighs anything. The gripper
+    closes from its start within 0.5 s, whatever its own rate. Meshes of the robosuite gripper that touch the box count.
     """
     model, data = side.clamped()
     model.opt.gravity[:] = 0.0
@@ -365,8 +366,8 @@ def _layout(matching: Matching) -> np.ndarray:
     for index, slot in enumerate(matching.slots[flange + 1 :], start=flange + 1):
         children.setdefault(slot.parent, []).append(index)
         spots[index, 0] = spots[slot.parent, 0] + 1
-    # A finger's inner knuckle lies beside that finger.
-    fingers = sorted(children[flange], key=lambda i: [s.element for s in matching.slots].index(matching.slots[i].element))
+    elements = [slot.element for slot in matching.slots]  # a finger's inner knuckle lies beside that finger
+    fingers = sorted(children[flange], key=lambda index: elements.index(elements[index]))
     for row, finger in enumerate(fingers):
         below = [finger]
         while below:
@@ -394,10 +395,10 @@ def _draw_joint(axes: Axes, spot: np.ndarray, owned: list[bool]) -> None:
     width = 360.0 / len(owned)
     for k, has in enumerate(owned):
         start = -90.0 + k * width  # the row axis points down, so angles grow clockwise
-        axes.add_patch(
-            Wedge(tuple(spot), NODE_RADIUS, start, start + width, facecolor=COLOURS[k % len(COLOURS)] if has else "white",
-                  edgecolor="#333333", linewidth=0.8, zorder=3)
-        )  # fmt: skip
+        colour = COLOURS[k % len(COLOURS)] if has else "white"
+        sector = Wedge(tuple(spot), NODE_RADIUS, start, start + width, facecolor=colour, edgecolor="#333333", zorder=3)
+        sector.set_linewidth(0.8)
+        axes.add_patch(sector)
 
 
 def _draw_key(axes: Axes, matching: Matching, columns: float) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 
 from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES
 from robots.robot import Robot
-from tasks.pick import ACTION_SIZE, START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
+from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.matching import BASE_SITE
+from toolkit.morphology.matching import BASE_SITE, finger_sign
 from toolkit.morphology.posture import GRIP_SITE, arm_joints, native_env, role_actuators, role_joints, start_of
 from toolkit.morphology.space import GRIPPER_LOG_GAIN, HAND_LOG_GAIN, HAND_RATE
 from toolkit.simulation import osc
@@ -19,7 +19,7 @@ CLOSING = np.array([COMMANDED_ROLES.index(role) for role in CLOSING_ROLES])
 """Indices of the closing roles among the commanded ones."""
 WATCHED_WARNINGS = (
     mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
-    mujoco.mjtWarning.mjWARN_INERTIA,
+    mujoco.mjtWarning.mjWARN_INERTIA, mujoco.mjtWarning.mjWARN_BADCTRL,
 )  # fmt: skip
 """MuJoCo warnings that mean a simulation has diverged."""
 SPEED_LIMIT = 200.0
@@ -158,12 +158,6 @@ class Plant:
         return not np.isfinite(speed) or speed > SPEED_LIMIT
 
 
-def check_action(action: np.ndarray) -> None:
-    """Refuse an action of the wrong size."""
-    if action.shape != (ACTION_SIZE,):
-        raise ValueError(f"action has shape {action.shape}, expected ({ACTION_SIZE},)")
-
-
 def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant:
     """F(alpha) as a plant; patches ``model`` in place (see MergedRobot.become)."""
     merged.become(alpha, model, data)
@@ -205,12 +199,13 @@ def command_law(robot: Robot) -> CommandLaw:
     )  # fmt: skip
 
 
-def finger_map(robot: Robot, model: mujoco.MjModel) -> list[tuple[int, float, float]]:
-    """For each commanded role: qpos address (-1 if absent), sign and start angle [rad] in the native scene."""
-    from toolkit.morphology.matching import finger_signs
+def finger_map(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, float, float]]:
+    """For each commanded role: qpos address (-1 if absent), sign and start angle [rad] in the native scene.
 
+    ``data`` stands at the start posture, frames computed.
+    """
     joints, start = role_joints(model, robot), start_of(robot)
-    signs = finger_signs(robot)
+    signs = {role: finger_sign(robot, role, np.array(data.xaxis[joint])) for role, joint in joints.items()}
     own = [j for j in range(model.njnt) if model.joint(j).name.startswith("gripper0_right_")]
     angle = dict(zip(own, start.fingers, strict=True))
     return [
@@ -232,7 +227,7 @@ def native_plant(robot: Robot, task: PickTask) -> Plant:
     actuators = role_actuators(model, robot)
     plant = Plant(
         model, data, arm, list(range(len(arm))), [actuators[role] for role in robot.gripper.targets], GRIP_SITE,
-        np.array(data.qpos), finger_map(robot, model), command_law(robot), base, env.item.root_body, task,
+        np.array(data.qpos), finger_map(robot, model, data), command_law(robot), base, env.item.root_body, task,
     )  # fmt: skip
     plant.env = env  # robosuite's wrapper owns the mjData; keep it alive
     return plant

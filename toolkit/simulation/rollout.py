@@ -55,7 +55,7 @@ def play(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray, trace: list[n
         if trace is not None:
             trace.append(np.array(plant.data.qpos))
         observation = plant.step(action)
-        diverged = plant.diverged
+        diverged = plant.diverged or not (np.isfinite(action).all() and np.isfinite(observation).all())
         held = held + 1 if not diverged and at_goal(plant.object_position, plant.goal, task.goal_tolerance) else 0
         success = held >= task.hold_steps
         terminated = success or diverged or is_lost(plant.object_position)

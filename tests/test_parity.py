@@ -1,0 +1,126 @@
+"""What the merge keeps of each robot: F(beta) beside the unmodified robosuite robot, measured."""
+
+import json
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from robots import ROBOTS
+from toolkit.errors import ToolkitError
+from toolkit.morphology import parity as measure
+from toolkit.morphology.parity import parity, plot_merged_tree
+
+KEYS = [
+    "name", "arm_fk_error_m", "arm_mass_matrix_rel_error", "pad_position_error_m", "pad_angle_error_deg",
+    "pad_force_rel_error", "grasp_frame_drift_m",
+]  # fmt: skip
+LIMITS = {
+    "arm_fk_error_m": 1e-6, "arm_mass_matrix_rel_error": 1e-6, "pad_position_error_m": 2e-3, "pad_angle_error_deg": 2.0,
+    "pad_force_rel_error": 0.1, "grasp_frame_drift_m": 1e-3,
+}  # fmt: skip
+SETTLES_SHORT = "robosuite's knuckle settles at about 0.6 of its target, held back by its linkage's meshes"
+KNOWN = {
+    ("kinova3", "pad_position_error_m"): f"14.3 mm: {SETTLES_SHORT}",
+    ("kinova3", "pad_angle_error_deg"): f"10.3 degrees: {SETTLES_SHORT}",
+    ("kinova3", "pad_force_rel_error"): "10.5 %: 78.3 N for 70.9 N",
+    ("iiwa", "pad_position_error_m"): "16.1 mm: robosuite's knuckle settles at about 0.7 of its target",
+    ("iiwa", "pad_angle_error_deg"): "4.6 degrees: robosuite's knuckle settles at about 0.7 of its target",
+    ("iiwa", "pad_force_rel_error"): "122 %: 64.1 N for 28.8 N",
+    ("jaco", "grasp_frame_drift_m"): "1.56 mm: air drags robosuite's link of 1e-6 kg m^2, lumped in the merge",
+}
+"""(robot, figure) that misses its limit -> what was measured, and why."""
+
+
+@pytest.fixture(scope="module")
+def figures(merged):
+    measured = {}
+
+    def of(name):
+        if name not in measured:
+            measured[name] = parity(merged, ROBOTS[name])
+        return measured[name]
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("name", "figure"),
+    [
+        pytest.param(n, f, marks=pytest.mark.xfail(strict=False, reason=KNOWN[n, f]) if (n, f) in KNOWN else ())
+        for n in ROBOTS for f in LIMITS
+    ],
+)  # fmt: skip
+def test_the_merge_keeps(figures, name, figure, record_property):
+    value = figures(name)[figure]
+    record_property(figure, value)
+    print(f"{name}: {figure} = {value:.3g}")
+    assert value <= LIMITS[figure], f"{name}: {figure} is {value:.3g}, the limit {LIMITS[figure]:g}"
+
+
+def test_figures_are_json_with_the_agreed_keys(figures):
+    record = figures("adroit")
+    assert list(record) == KEYS
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+
+
+def test_the_same_figures_every_time(figures, merged):
+    assert parity(merged, ROBOTS["jaco"]) == figures("jaco")
+
+
+def test_another_robots_merge_would_be_noticed(merged):
+    """kinova3's pads and arm beside jaco's: the measurement tells robots apart."""
+    names = merged.space.matching.names
+    mine = measure._merged_side(merged, names.index("kinova3"))
+    own = measure._native_side(ROBOTS["jaco"], merged.task)
+    fk, mass = measure.arm_errors(mine, own, merged.space.matching.systems[names.index("jaco")])
+    assert fk > 0.05 and mass > 0.01, f"another arm is only {fk:.3f} m and {mass:.3f} away"
+    assert measure.drift(mine, own) > 1e-4
+
+
+@pytest.mark.parametrize("name", list(ROBOTS))
+def test_pads_are_as_large_as_the_robots_and_start_where_they_do(merged, name):
+    index = merged.space.matching.names.index(name)
+    mine, own = measure._merged_side(merged, index), measure._native_side(ROBOTS[name], merged.task)
+    assert set(mine.pads) == set(own.pads) >= {"FF", "TH"}
+    poses = [side.pad_poses(side.plant.data) for side in (mine, own)]
+    for finger in own.pads:
+        sizes = [side.plant.model.geom_size[side.pads[finger]] for side in (mine, own)]
+        np.testing.assert_allclose(*sizes, rtol=1e-9)
+        np.testing.assert_allclose(poses[0][finger][0], poses[1][finger][0], atol=1e-6)
+        np.testing.assert_allclose(poses[0][finger][1], poses[1][finger][1], atol=1e-6)
+
+
+def test_the_clamped_arm_and_the_box_stay_where_they_are(merged):
+    side = measure._merged_side(merged, merged.space.matching.names.index("kinova3"))
+    model, data = side.clamped()
+    before = np.array(side.plant.data.site_xpos[side.site])
+    side.close_to(model, data, 1.0, 2.0)
+    moved = float(np.linalg.norm(data.site_xpos[side.site] - before))
+    assert moved < 1e-3, f"the clamped grasp frame moved {1e3 * moved:.2f} mm in 2 s"
+    assert measure.squeeze(side) > 1.0
+
+
+def test_a_robot_that_was_not_merged_is_refused(merged):
+    class Stranger:
+        name = "spot"
+
+    with pytest.raises(ToolkitError, match="'spot' is not in this merged robot; it has adroit"):
+        parity(merged, Stranger())
+
+
+# -- the picture ---------------------------------------------------------------------------------------------
+
+
+def test_the_merged_tree_is_drawn(matching, tmp_path):
+    plot_merged_tree(matching, tmp_path / "tree.png")
+    image = matplotlib.image.imread(tmp_path / "tree.png")[..., :3]
+    for colour in measure.COLOURS[: len(matching.names)]:
+        rgb = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        share = float((np.abs(image - rgb) < 0.02).all(axis=2).mean())
+        assert share > 0.001, f"{colour} covers {share:.2%} of the picture"
+
+
+def test_an_unknown_picture_format_is_one_sentence(matching, tmp_path):
+    with pytest.raises(ToolkitError, match=r"name a \.png or \.svg file"):
+        plot_merged_tree(matching, tmp_path / "tree.nonsense")
