@@ -41,7 +41,7 @@ TASK_FRAME = "task: origin on the floor under the table's centre, z up; the gras
 
 OBSERVATION_MEANING = {
     "finger": ("rad", "joint", "this joint's displacement from its start angle, see finger_map; 0 if absent there"),
-    "gripper_command": ("1", "gripper", "integrated closing command, -1 open, +1 closed; its preshape at the start"),
+    "closing_progress": ("1", "gripper", "of the integrated closing command since the start: -1 at the preshape, +1 fully closed"),
     "grasp_position": ("m", "task", "grasp frame origin from its start position"),
     "grasp_rotation": ("1", "task", "grasp frame's rotation from its start: axis times sine of the angle"),
     "object_from_grasp": ("m", "task", "object centre from the grasp frame origin"),
