@@ -79,7 +79,7 @@ TASKS: dict[str, PickTask] = {
 
 OBSERVATION: dict[str, int] = {
     **{f"finger/{role}": 1 for role in COMMANDED_ROLES},  # joint displacement from its start posture [rad]
-    "gripper_command": 1,  # mean closing command, -1 open, +1 closed
+    "closing_progress": 1,  # of the closing command since the start: -1 at the preshape, +1 fully closed
     "grasp_position": 3,  # grasp frame origin from its start [m], world axes
     "grasp_rotation": 3,  # axis times sine of the angle from the start rotation, world axes
     "object_from_grasp": 3,  # object centre from the grasp frame origin [m], world axes
@@ -115,7 +115,7 @@ def sine_of_rotation(rotation: np.ndarray) -> np.ndarray:
 
 def observe(
     fingers: np.ndarray,
-    command: float,
+    progress: float,
     grasp_position: np.ndarray,
     grasp_rotation_from_start: np.ndarray,
     object_position: np.ndarray,
@@ -127,7 +127,7 @@ def observe(
 
     Args:
         fingers: displacements (22,) [rad], in the order of COMMANDED_ROLES.
-        command: closing command.
+        progress: of the closing command since the start, -1 to +1.
         grasp_position: (3,) [m], world.
         grasp_rotation_from_start: sine_of_rotation (3,) of the grasp frame's rotation from its start.
         object_position: (3,) [m], world.
@@ -138,7 +138,7 @@ def observe(
     n = fingers.shape[0]
     out = np.empty(n + 16)
     out[:n] = fingers
-    out[n] = command
+    out[n] = progress
     out[n + 1 : n + 4] = grasp_position - start_position
     out[n + 4 : n + 7] = grasp_rotation_from_start
     out[n + 7 : n + 10] = object_position - grasp_position

@@ -195,7 +195,7 @@ def expert(
     source: str = "adroit",
     task: str = TASK,
     out: Path | None = None,
-    updates: int = 12,
+    updates: int = 6,
     demonstrations: int = 160,
     seed: int = 0,
     episodes: int = 200,

@@ -26,26 +26,26 @@ class PickScript:
         object_from_grasp: where the object's centre should be in the grasp [m], world axes at the start rotation.
         hover: height [m] above the grasp from which to descend.
         gain: OSC action per metre of error; robosuite's OSC moves about a quarter of each commanded delta.
-        lift_from: closing command from which to lift.
+        lift_from: closing progress from which to lift.
         aligned: error [m] within which the grasp begins to close.
-        started: closing command from which closing goes on whatever the alignment.
+        started: closing progress from which closing goes on whatever the alignment.
     """
 
     object_from_grasp: tuple[float, float, float] = (0.0, 0.0, 0.0)
     hover: float = 0.04
     gain: float = 30.0
-    lift_from: float = 0.4
+    lift_from: float = 0.2
     aligned: float = 0.012
     started: float = -0.4
 
     def __call__(self, observation: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
         """Action (n_act,) for an observation (n_obs,); deterministic."""
-        command = float(entry(observation, "gripper_command")[0])
+        progress = float(entry(observation, "closing_progress")[0])
         offset = entry(observation, "object_from_grasp") - np.array(self.object_from_grasp)
         goal = entry(observation, "goal_from_object")
         aside = float(np.hypot(offset[0], offset[1]))
         near = aside < self.aligned and abs(offset[2]) < self.aligned
-        if command < self.lift_from:
+        if progress < self.lift_from:
             # Stay above until aligned, so that the fingers come down beside the object.
             move = offset + np.array([0.0, 0.0, self.hover * np.clip((aside - 0.01) / 0.03, 0.0, 1.0)])
         else:
@@ -54,5 +54,5 @@ class PickScript:
         action = np.empty(ACTION_SIZE)
         action[:3] = np.clip(self.gain * move, -1.0, 1.0)
         action[3:6] = np.clip(-2.0 * entry(observation, "grasp_rotation"), -1.0, 1.0)
-        action[6:] = 1.0 if near or command > self.started else -1.0
+        action[6:] = 1.0 if near or progress > self.started else -1.0
         return action

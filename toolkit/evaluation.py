@@ -126,7 +126,7 @@ class NativeRobot:
         fingers = np.array([sign * (data.qpos[q] - start) if q >= 0 else 0.0 for q, sign, start in self._fingers])
         rotation = data.site_xmat[self._site].reshape(3, 3) @ START_ROTATION.T
         return observe(
-            fingers, float(self.command[CLOSING].mean()), np.array(data.site_xpos[self._site]), sine_of_rotation(rotation),
+            fingers, self.law.progress(self.command), np.array(data.site_xpos[self._site]), sine_of_rotation(rotation),
             self.env.object_position, sine_of_rotation(self.env.object_rotation), self.env.goal, START_POSITION,
         )  # fmt: skip
 

@@ -34,7 +34,7 @@ class ExpertConfig:
     judges a grasp by object and command rather than by one hand's exact posture."""
     copies: int = 3
     """Noisy copies of the demonstrations."""
-    updates: int = 30
+    updates: int = 6
     """Natural-gradient updates after cloning."""
     seed: int = 0
     """Of everything random."""

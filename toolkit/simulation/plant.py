@@ -55,6 +55,10 @@ class CommandLaw:
         u = (1.0 - self.common) * action + self.common * action[CLOSING].mean()
         return np.clip(state + np.clip(self.gain * u - self.leak * state, -self.rate, self.rate), -1.0, 1.0)
 
+    def progress(self, state: np.ndarray) -> float:
+        """How far the closing roles have closed since the start, from -1 (the preshape) to +1 (closed), at s (n_roles,)."""
+        return float(2.0 * (state[CLOSING].mean() - self.preshape) / (1.0 - self.preshape) - 1.0)
+
     def targets(self, state: np.ndarray) -> np.ndarray:
         """Position targets (n_actuators,) [rad] at s (n_roles,)."""
         return self.opened + 0.5 * (state[self.role] + 1.0) * (self.closed - self.opened)
@@ -140,7 +144,7 @@ class Plant:
         fingers[self._present] = self._finger_sign * (self.data.qpos[self._finger_qpos] - self._finger_start)
         rotation = self.data.site_xmat[self._site].reshape(3, 3) @ START_ROTATION.T
         return observe(
-            fingers, float(self.command[CLOSING].mean()), self.data.site_xpos[self._site], sine_of_rotation(rotation),
+            fingers, self.law.progress(self.command), self.data.site_xpos[self._site], sine_of_rotation(rotation),
             self.object_position, sine_of_rotation(self.data.xmat[self._object].reshape(3, 3)), self.goal, START_POSITION,
         )  # fmt: skip
 
