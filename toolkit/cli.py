@@ -17,6 +17,7 @@ from toolkit.errors import ToolkitError
 if TYPE_CHECKING:
     from robots.robot import Robot
     from tasks.pick import PickTask
+    from toolkit.evaluation import Evaluation
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.pipeline import Lab
 
@@ -120,9 +121,9 @@ def match(
         plot: draw the merged tree into this file (PNG, PDF or SVG).
         json: print one JSON object.
     """
-    from toolkit.morphology.parity import plot_merged_tree, parity
-
     lab = _lab(source, targets, TASK)
+    from toolkit.morphology.parity import parity, plot_merged_tree
+
     figures = [parity(lab.merged, robot) for robot in (lab.source, *lab.targets)]
     if plot is not None:
         plot_merged_tree(lab.space.matching, plot)
@@ -295,9 +296,14 @@ def evaluate(
         seed: shifts the evaluation's seeds.
         json: print one JSON object (a list if there are several targets).
     """
+    _quiet()
     from toolkit.evaluation import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
+    if (Path(run) / "manifest.json").is_file() or run.endswith(".zip"):
+        result = _bundle_success(Path(run), episodes, seed, quiet=json)
+        _emit(result.to_json(), json, _sentence(result))
+        return
     content, policies = _trained(Path(run), target)
     what = _task(content["task"])
     lab = None if native else _lab(content["source"], content["targets"], content["task"])
@@ -311,8 +317,46 @@ def evaluate(
                 results.append(evaluate_merged(policy, RolloutEngine(lab.merged), name, episodes, seed))
     if json:
         _emit(results[0].to_json() if len(results) == 1 else [r.to_json() for r in results], True, "")
-    for r in [] if json else results:
-        print(f"{r.target} ({r.env}): {r.successes} of {r.episodes}, {r.success_rate:.0%} (95 %: {r.ci95[0]:.2f} to {r.ci95[1]:.2f})")
+    for result in [] if json else results:
+        print(_sentence(result))
+
+
+def _sentence(result: "Evaluation") -> str:
+    low, high = result.ci95
+    return f"{result.target} ({result.env}): {result.successes} of {result.episodes}, {result.success_rate:.0%} (95 %: {low:.2f} to {high:.2f})"
+
+
+def _bundle_success(path: Path, episodes: int, seed: int, quiet: bool) -> "Evaluation":
+    """Success of a bundle's ONNX graph alone on the unmodified robosuite robot."""
+    from toolkit.bundle import load_bundle
+    from toolkit.evaluation import evaluate_native
+
+    manifest = load_bundle(path).manifest
+    name = manifest["robot"]["name"]
+    with _Progress("evaluate", quiet) as progress:
+        counter = progress.count(f"{name} native", episodes)
+        return evaluate_native(path, _robot(name), _task(manifest["task"]["name"]), episodes, seed, progress=counter)
+
+
+@app.command
+def verify(bundle: Annotated[Path, tyro.conf.Positional], episodes: int = 50, seed: int = 0, json: bool = False) -> None:
+    """Prove a bundle: golden vectors, limits under wild observations, and success on the unmodified robot.
+
+    Args:
+        bundle: folder or .zip.
+        episodes: played by the ONNX graph alone through robosuite's own step.
+        seed: shifts the episodes' seeds.
+        json: print one JSON object.
+    """
+    _quiet()
+    from toolkit.bundle import check_bundle, load_bundle
+
+    checked = check_bundle(load_bundle(bundle))
+    result = _bundle_success(bundle, episodes, seed, quiet=json)
+    content = checked | {"success_rate": result.success_rate, "ci95": list(result.ci95), "episodes": episodes}
+    _emit(content, json, f"ONNX error {checked['onnx_max_abs_error']:.1e}, limits {'kept' if checked['limits_ok'] else 'BROKEN'}; {_sentence(result)}")
+    if not (checked["golden_ok"] and checked["limits_ok"]):
+        raise SystemExit(1)
 
 
 def _trained(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]]:

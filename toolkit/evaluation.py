@@ -1,10 +1,12 @@
 """Success where it is claimed: on F(beta), and on the unmodified robosuite robot through robosuite's own env.step."""
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Literal
 
 import mujoco
@@ -15,6 +17,7 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
+from toolkit.bundle import Bundle, load_bundle
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
 from toolkit.simulation.plant import CLOSING, command_law, finger_map
@@ -113,10 +116,14 @@ class NativeRobot:
     def step(self, action: np.ndarray) -> np.ndarray:
         """One robosuite step with an action of the record (n_act,); returns the next observation (n_obs,)."""
         native = self.robosuite_action(action)
-        self.env.step(native)
         if self.robot.gripper.rate is None:
             self.command = self.law.advance(self.command, action[6:])
-        else:  # what robosuite's gripper has integrated
+        return self.apply(native)
+
+    def apply(self, native: np.ndarray) -> np.ndarray:
+        """One robosuite step with robosuite's own action; returns the next observation (n_obs,)."""
+        self.env.step(native)
+        if self.robot.gripper.rate is not None:  # what robosuite's gripper has integrated
             self.command = np.clip(self.command + self.law.rate * np.sign(native[6]), -1.0, 1.0)
         return self.observe()
 
@@ -130,13 +137,23 @@ class NativeRobot:
             self.env.object_position, sine_of_rotation(self.env.object_rotation), self.env.goal, START_POSITION,
         )  # fmt: skip
 
-    def play(self, mean: Callable[[np.ndarray], np.ndarray], seed: int, trace: list | None = None) -> bool:
-        """One episode with a deterministic policy; returns whether the task succeeded."""
+    def play(
+        self, act: Callable[[np.ndarray], np.ndarray], seed: int, trace: list | None = None, native: bool = False
+    ) -> bool:
+        """One episode with a deterministic policy; returns whether the task succeeded.
+
+        Args:
+            act: observation (n_obs,) -> action of the record (n_act,), or robosuite's own action if ``native``.
+            seed: of the start.
+            trace: if given, qpos (nq,) is appended at every step.
+            native: see ``act``.
+        """
+        step = self.apply if native else self.step
         observation = self.begin(seed)
         for _ in range(self.task.horizon):
             if trace is not None:
                 trace.append(np.array(self.data.qpos))
-            observation = self.step(mean(observation))
+            observation = step(act(observation))
             if not np.isfinite(observation).all():
                 return False
             if self.env.succeeded or self.env.lost:
@@ -149,16 +166,28 @@ class NativeRobot:
 _robots: dict[tuple[str, str], NativeRobot] = {}
 
 
-def _play_natively(job: tuple[Robot, PickTask, GaussianPolicy, int]) -> bool:
+_bundles: dict[Path, Bundle] = {}
+
+
+def _play_natively(job: tuple[Robot, PickTask, GaussianPolicy | Path, int]) -> bool:
     robot, task, policy, seed = job
     key = (robot.name, task.name)
     if key not in _robots:
         _robots[key] = NativeRobot(robot, task)
+    if isinstance(policy, Path):
+        if policy not in _bundles:
+            _bundles[policy] = load_bundle(policy)
+        return _robots[key].play(_bundles[policy], seed, native=True)
     return _robots[key].play(policy.mean, seed)
 
 
+def _silence() -> None:
+    """robosuite greets every process with notices about options that this toolkit does not use."""
+    logging.disable(logging.WARNING)
+
+
 def evaluate_native(
-    policy: GaussianPolicy,
+    policy: GaussianPolicy | Path,
     robot: Robot,
     task: PickTask,
     episodes: int,
@@ -169,7 +198,7 @@ def evaluate_native(
     """Success of the policy's mean action on the unmodified robosuite robot, through env.step.
 
     Args:
-        policy: the policy.
+        policy: the policy, or the path of a bundle whose ONNX graph then plays alone.
         robot, task: what is evaluated.
         episodes: how many.
         seed: shifts the seeds.
@@ -190,5 +219,5 @@ def _outcomes(jobs: Sequence[tuple], workers: int) -> Iterator[bool]:
     if workers == 1 or len(jobs) < 4:
         yield from map(_play_natively, jobs)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_silence) as pool:
         yield from pool.map(_play_natively, jobs, chunksize=2)
