@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,17 @@ from toolkit.errors import ToolkitError
 from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.morphology.build import MergedRobot
 from toolkit.simulation.rollout import RolloutEngine
 
 DEMONSTRATION_SEEDS = 3 * 10**6
 EXPERT_SEEDS = 4 * 10**6
+_NOISE = {
+    "finger": 0.3, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.1, "object_from_grasp": 0.01,
+    "object_rotation": 0.2, "goal_from_object": 0.03,
+}  # fmt: skip
+OBSERVATION_NOISE = np.concatenate([np.full(size, _NOISE[name.split("/")[0]]) for name, size in OBSERVATION.items()])
+"""Standard deviation (n_obs,) of the noise on copied observations, in each entry's own unit."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +36,16 @@ class ExpertConfig:
     noise: float = 0.12
     """Standard deviation of the noise that perturbs the demonstrated motion (the label stays the script's action), so
     that the clone learns to come back (Laskey et al. 2017, DART)."""
-    finger_noise: float = 0.3
-    """Standard deviation [rad] of noise added to the finger joints that the clone sees, on copies of the data: so that it
-    judges a grasp by object and command rather than by one hand's exact posture."""
-    copies: int = 3
-    """Noisy copies of the demonstrations."""
+    copies: int = 4
+    """Copies of the demonstrations with noisy observations, labelled by the script anew: the clone then knows what to do
+    beside the demonstrated way, and judges a grasp by object and progress rather than by one hand's exact posture."""
+    demonstrated_tolerance: float = 0.01
+    """Distance [m] from the goal that demonstrations reach: tighter than the task, so that no clone stops short of it."""
     updates: int = 6
     """Natural-gradient updates after cloning."""
     seed: int = 0
     """Of everything random."""
-    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=50, init_log_std=-2.0))
+    cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=40, init_log_std=-2.5))
     """Behaviour cloning."""
     npg: NpgConfig = field(default_factory=lambda: NpgConfig(step_size=0.005, batch_size=24))
     """The learner; larger steps than in transfer, as nothing is lost if the clone changes."""
@@ -70,14 +77,13 @@ class NoisyScript:
         return action
 
 
-def _with_finger_noise(
-    observations: np.ndarray, actions: np.ndarray, config: ExpertConfig, rng: np.random.Generator
+def _with_noise(
+    observations: np.ndarray, script: PickScript, copies: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The data (N, n_obs), (N, n_act) followed by copies whose finger joints are noisy."""
-    noise = np.zeros((config.copies + 1, *observations.shape))
-    fingers = sum(name.startswith("finger/") for name in OBSERVATION)
-    noise[1:, :, :fingers] = config.finger_noise * rng.standard_normal((config.copies, len(observations), fingers))
-    return (observations + noise).reshape(-1, observations.shape[1]), np.tile(actions, (config.copies + 1, 1))
+    """The data (N, n_obs) with noisy copies, and what the script does at each (.., n_act)."""
+    seen = np.tile(observations, (copies + 1, 1))
+    seen[len(observations) :] += OBSERVATION_NOISE * rng.standard_normal((copies * len(observations), seen.shape[1]))
+    return seen, np.array([script(observation) for observation in seen])
 
 
 def train_expert(
@@ -98,15 +104,17 @@ def train_expert(
     beta = engine.merged.space.beta(source)
     script = PickScript()
     seeds = list(range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations))
-    played = engine.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
+    strict = replace(engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
+    teacher = RolloutEngine(MergedRobot(engine.merged.space, strict), engine.threads)
+    played = teacher.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
+    teacher.close()
     kept = [episode for episode in played if episode.success]
     report({"event": "demonstrations", "played": len(played), "kept": len(kept)})
     if not kept:
         raise ToolkitError(f"none of {len(played)} scripted demonstrations succeeds on {source}; check its grasp posture")
     policy, value = new_learner(config.seed)
     observations = np.concatenate([episode.observations for episode in kept])
-    wanted = np.array([script(observation) for observation in observations])
-    seen, labels = _with_finger_noise(observations, wanted, config, rng)
+    seen, labels = _with_noise(observations, script, config.copies, rng)
     losses = clone(policy, seen, labels, config.cloning, rng, scale_floor=OBSERVATION_SCALE,
                    progress=lambda epoch, loss: report({"event": "cloning", "epoch": epoch, "loss": loss}))  # fmt: skip
     for update in range(config.updates):

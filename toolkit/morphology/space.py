@@ -22,7 +22,7 @@ FROZEN_ARMATURE = 0.1
 """Armature [kg m^2] of a frozen joint: keeps the mass matrix regular when its link has no mass; with the spring, 45 rad/s."""
 FROZEN_DAMPING = 2.0 * np.sqrt(FROZEN_STIFFNESS * FROZEN_ARMATURE)
 """Damping [N m s/rad]: critical."""
-FREEZE_DECADES = 4.0
+FREEZE_DECADES = 6.0
 """A joint stiffens over this many decades as its ``freeze`` goes from 0 to 1, so that it fades out before it locks."""
 HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
 """log10 of the command gain: a hand tracks its targets; robosuite's grippers take the sign of the action, which a gain of
@@ -275,10 +275,9 @@ class EvolutionSpace:
             slot_field("friction_loss", "N m", ("",), lambda j, i: j.friction_loss, absent=[0.0]),
             slot_field("limit_margin", "rad", ("",), lambda j, i: j.margin),
             slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
-            slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit, absent=[0.0]),
-            slot_field("target", "rad", ("open", "closed"), lambda j, i: (j.target_open, j.target_closed),
-                       absent=[0.0, 0.0]),
-        ]  # fmt: skip
+            slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit),
+            slot_field("target", "rad", ("open", "closed"), lambda j, i: (j.target_open, j.target_closed)),
+        ]
 
     def _item_field(self, name: str, unit: str, components: Sequence[str], items: Sequence, get: Callable,
                     absent: float | tuple[float, ...] | None = None) -> Field:  # fmt: skip
