@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
-PYTHON = (3, 10)
+PYTHON = (3, 11)
 TESTED: dict[str, tuple[str, str | None]] = {  # package -> from, and below
     "mujoco": ("3.3.6", "3.8"),  # 3.8 lets robosuite's Robotiq-85 drop what it holds
     "robosuite": ("1.5.1", "1.5.2"),  # 1.5.2 pins mink 0.0.5, and with it an old numpy, pin and rerun
@@ -76,7 +76,7 @@ def checks(logs: Path | str = "logs") -> list[Check]:
     Args:
         logs: the folder where runs will be written.
     """
-    found = [_guarded("python", _python, "install Python 3.10 or newer")]
+    found = [_guarded("python", _python, "install Python 3.11 or newer")]
     found += [_guarded(package, lambda package=package: _package(package), _install(package)) for package in TESTED]
     found.append(_guarded("ADROIT hand", _adroit, "pip install --force-reinstall gymnasium-robotics"))
     found += _robots()
@@ -97,7 +97,7 @@ def _guarded(name: str, question: Callable[[], Check], mend: str) -> Check:
 def _python() -> Check:
     version = ".".join(map(str, sys.version_info[:3]))
     good = sys.version_info[:2] >= PYTHON
-    return Check("python", good, version, "" if good else "install Python 3.10 or newer")
+    return Check("python", good, version, "" if good else "install Python 3.11 or newer")
 
 
 def _package(package: str) -> Check:

@@ -17,7 +17,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from toolkit.errors import ToolkitError
-from toolkit.evolution import Kind, MetaStep, Metric, Terminal, next_meta_robot
+from toolkit.evolution import KINDS, METRICS, Kind, MetaStep, Metric, Terminal, next_meta_robot
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
@@ -67,6 +67,15 @@ class TransferConfig:
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
+        for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0)):
+            if getattr(self, name) < low:
+                raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
+        for name, known in (("step", ("fixed", "adaptive")), ("kind", KINDS), ("metric", METRICS)):
+            if getattr(self, name) not in known:
+                raise ToolkitError(f"transfer's {name} is {getattr(self, name)!r}; there are: {', '.join(known)}")
+
+
+Outcome = Literal["held", "spent", "training"]
 
 
 class Player(Protocol):
@@ -168,9 +177,10 @@ class Transfer:
                 self.settle(branch)
             else:
                 step = self.evolution_tree(branch)
-                if not self.at(branch, step):
+                alone = len(branch.targets) == 1
+                if not self.at(branch, step) and (alone or not step.reached):
                     self.evolve(branch, step)
-                elif len(branch.targets) == 1:
+                elif alone:
                     self.reach(branch)
                 else:
                     self.split(branch, step)
@@ -187,9 +197,9 @@ class Transfer:
         return bool(np.linalg.norm(step.meta_alpha - branch.alpha) < 1e-9)
 
     def split(self, branch: Branch, step: MetaStep) -> None:
-        """Lines 10 to 12: one branch per subtree, each with its own copy of the policy."""
+        """Lines 10 to 12: one branch per subtree, each with its own copy of the policy; targets reached get their own."""
         self.pending.pop()
-        parts = [*step.partition, *([frozenset(step.reached)] if step.reached else [])]
+        parts = [*step.partition, *(frozenset([name]) for name in step.reached)]
         for part in sorted(parts, key=lambda p: min(branch.targets.index(name) for name in p), reverse=True):
             path = f"path {len(self.costs) + 1}"
             self.costs[path] = Cost()
@@ -201,7 +211,7 @@ class Transfer:
     def reach(self, branch: Branch) -> None:
         """Line 8: F(beta) is reached. Train there to the goal, then hop to the native robot."""
         name = branch.targets[0]
-        if self.train_to(branch, self.engine, self.goals[name], self.config.goal, self.config.goal_episodes):
+        if self.train_to(branch, self.engine, self.goals[name], self.config.goal, self.config.goal_episodes) != "training":
             branch.next_alpha, branch.window, branch.updates = None, 1.0, 0
             if self.config.native and name in self.native:
                 branch.stage = "settle"
@@ -213,7 +223,8 @@ class Transfer:
         name = branch.targets[0]
         if name not in self._players:
             self._players[name] = self.native[name]()
-        if self.train_to(branch, self._players[name], self.goals[name], self.config.goal, self.config.goal_episodes):
+        player, goal = self._players[name], self.goals[name]
+        if self.train_to(branch, player, goal, self.config.goal, self.config.goal_episodes) != "training":
             self.finish(branch)
 
     def finish(self, branch: Branch) -> None:
@@ -229,9 +240,11 @@ class Transfer:
         """Advance towards the meta robot: choose the next robot, then train until the policy holds on it."""
         if branch.next_alpha is None:
             self.choose_next(branch, step.meta_alpha)
-        elif self.train_to(branch, self.engine, branch.next_alpha, self.config.threshold, self.config.check_episodes):
+            return
+        outcome = self.train_to(branch, self.engine, branch.next_alpha, self.config.threshold, self.config.check_episodes)
+        if outcome != "training":
             length = float(np.linalg.norm(branch.next_alpha - branch.alpha))
-            self.move(branch, branch.next_alpha, length, trained=True)
+            self.move(branch, branch.next_alpha, length, trained=outcome == "held")
 
     def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
         """Pick the next robot on the straight line to ``meta`` (D,).
@@ -259,18 +272,21 @@ class Transfer:
         distance = float(np.linalg.norm(self.evolution_tree(branch).meta_alpha - branch.alpha))
         self.say("moved", branch, stride=stride, distance=distance, trained=trained)
 
-    def train_to(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
-        """One update towards ``wanted`` success on the robot ``alpha`` (D,), or True if it is there already.
+    def train_to(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> Outcome:
+        """One update towards ``wanted`` success on the robot ``alpha`` (D,).
+
+        Returns:
+            "held" if the policy has that success already, "spent" if the path's budget is, else "training".
 
         Success is measured before the first update and after every check_every-th; training robots are drawn from the
         part of the segment from branch.alpha to ``alpha`` that the window leaves open.
         """
         if branch.updates % self.config.check_every == 0 and self.holds(branch, player, alpha, wanted, episodes):
-            return True
+            return "held"
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
             self.say("budget", branch, sim_epochs=cost.sim_epochs)
-            return True
+            return "spent"
         size = self.config.npg.batch_size
         shares = 1.0 - branch.window * self.rng.uniform(size=size)
         alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
@@ -289,7 +305,7 @@ class Transfer:
             kl=statistics["kl"], episodes_per_s=size / (played - began), play_s=played - began,
             learn_s=statistics["seconds"],
         )  # fmt: skip
-        return False
+        return "training"
 
     def holds(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
         """Whether the policy without noise succeeds at least at the rate ``wanted`` on the robot ``alpha`` (D,).

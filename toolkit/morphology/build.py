@@ -10,7 +10,17 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tasks.pick import OBJECT_FRICTION, OBJECT_MARGIN, OBJECT_SOLREF, OBJECT_XY, START_POSITION, START_ROTATION, TABLE_FULL_SIZE, TABLE_TOP, PickTask
+from tasks.pick import (
+    OBJECT_FRICTION,
+    OBJECT_MARGIN,
+    OBJECT_SOLREF,
+    OBJECT_XY,
+    START_POSITION,
+    START_ROTATION,
+    TABLE_FULL_SIZE,
+    TABLE_TOP,
+    PickTask,
+)
 from toolkit.errors import ToolkitError
 from toolkit.morphology.space import (
     FREEZE_DECADES,

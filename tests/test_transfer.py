@@ -1,0 +1,599 @@
+"""Algorithm 1 on a toy whose every number can be checked: three dimensions, one action, and a success that is measured.
+
+The robot alpha succeeds if its action lies within TOLERANCE of `wanted(alpha)`, and only then is it rewarded, once. The
+observation is always the same, so a policy is one number, and the natural policy gradient has to move that number
+along as the robots move: from 0.1 at the source to 0.96 at the meta robot, then to 1.36 or back to 0.47.
+"""
+
+import json
+import math
+import os
+
+import numpy as np
+import pytest
+
+from toolkit.errors import ToolkitError
+from toolkit.evaluation import EVALUATION_SEEDS
+from toolkit.evolution import Terminal, evolution_tree
+from toolkit.learning.episode import Episode
+from toolkit.learning.npg import NpgConfig
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.runs import Run
+from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS, Transfer, TransferConfig
+
+SOURCE = Terminal("hand", np.zeros(3))
+TARGETS = [Terminal("left", np.array([0.8, 0.6, 0.2])), Terminal("right", np.array([0.8, 0.2, 0.9]))]
+META = np.array([0.8, 0.2, 0.2])
+WEIGHTS = np.array([1.0, 1.0, -0.7])
+TOLERANCE = 0.15
+OBSERVATION = np.ones(1)
+TIMING = {"episodes_per_s", "play_s", "learn_s"}
+NPG = NpgConfig(step_size=0.1, min_log_std=-1.6, cg_iterations=4, value_epochs=2)
+
+
+def wanted(alpha):
+    """The one action that the robot alpha (3,) should take."""
+    return float(WEIGHTS @ alpha) + 0.1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def unhurried():
+    """The disk need not have it before the next line: no test here cuts the power."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
+class Killed(Exception):
+    """What stands for a kill."""
+
+
+class Toy:
+    """Plays the toy, and writes down whom it played.
+
+    Attributes:
+        calls: (branch, training or not, alphas, seeds) per batch, the branch as it was when it asked.
+        episodes: played.
+    """
+
+    def __init__(self, kill_after=None, succeeds=True, shift=0.0):
+        self.kill_after, self.succeeds, self.shift = kill_after, succeeds, shift
+        self.calls, self.episodes, self.transfer = [], 0, None
+
+    def play(self, actor, alphas, seeds):
+        if self.kill_after is not None and len(self.calls) >= self.kill_after:
+            raise Killed
+        branch = self.transfer.pending[-1]
+        noisy = len({float(actor(OBSERVATION, np.random.default_rng(i))[0]) for i in range(3)}) > 1
+        state = {
+            "path": branch.path, "alpha": branch.alpha, "next": branch.next_alpha, "window": branch.window,
+            "stage": branch.stage, "training": noisy, "alphas": np.array(alphas), "seeds": list(seeds),
+        }  # fmt: skip
+        self.calls.append(state)
+        self.episodes += len(seeds)
+        return [self.one(actor, alpha, seed) for alpha, seed in zip(alphas, seeds, strict=True)]
+
+    def one(self, actor, alpha, seed):
+        action = actor(OBSERVATION, np.random.default_rng((seed, 1)))
+        success = self.succeeds and abs(float(action[0]) - wanted(alpha) - self.shift) < TOLERANCE
+        return Episode(
+            observations=OBSERVATION[None], actions=action[None], rewards=np.array([float(success)]), success=success,
+            diverged=False, terminated=True, last_observation=OBSERVATION, alpha=alpha, seed=seed,
+        )  # fmt: skip
+
+    def of(self, training):
+        return [call for call in self.calls if call["training"] is training]
+
+
+def easy_toy():
+    """All its robots want what the source wants."""
+    toy = Toy()
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, np.zeros(3), seed)
+    return toy
+
+
+def expert():
+    """A policy that succeeds on the source, and a value function."""
+    rng = np.random.default_rng(5)
+    policy = GaussianPolicy(["one"], ["a"], rng, hidden=(8,), init_log_std=-1.3)
+    value = ValueFunction(["one"], rng, hidden=(8,))
+    bias = policy.parameters.copy()
+    bias[-2] += wanted(SOURCE.alpha) - float(policy.mean(OBSERVATION)[0])
+    policy.set_parameters(bias)
+    return policy, value
+
+
+def config(**changes):
+    return TransferConfig(**{"npg": NPG, "check_episodes": 8, "goal_episodes": 8, "xi": 0.08, "native": False} | changes)
+
+
+def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None):
+    """A Transfer in a run folder, and the run."""
+    run = Run.open(folder, {}) if resume else Run.create(folder, {})
+    native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
+    quiet = lambda record, branch: None  # noqa: E731
+    transfer = Transfer(settings, SOURCE, list(targets), *expert(), player, native, run, report or quiet)
+    for toy in (player, *(maker() for maker in native.values())):
+        toy.transfer = transfer
+    if resume:
+        transfer.restore()
+    return transfer
+
+
+def records(transfer, event=None):
+    return [r for r in transfer.run.read_metrics() if event in (None, r["event"])]
+
+
+def error_at(policy, alpha):
+    return abs(float(policy.mean(OBSERVATION)[0]) - wanted(alpha))
+
+
+def share_on_segment(alphas, start, end):
+    """Where alphas (N, 3) project onto the segment from start to end, as shares (N,), and how far they lie off it."""
+    way = end - start
+    if np.linalg.norm(way) < 1e-12:
+        return np.ones(len(alphas)), np.linalg.norm(alphas - end, axis=1).max()
+    shares = (alphas - start) @ way / (way @ way)
+    return shares, np.linalg.norm(alphas - start - shares[:, None] * way, axis=1).max()
+
+
+@pytest.fixture(scope="module", params=["adaptive", "fixed"])
+def finished(request, tmp_path_factory):
+    """(transfer, toy) after a whole run."""
+    toy = Toy()
+    transfer = transfer_of(tmp_path_factory.mktemp(request.param) / "run", config(step=request.param), toy)
+    transfer.meta_evolve()
+    return transfer, toy
+
+
+# -- Algorithm 1 ---------------------------------------------------------------------------------------------
+
+
+def test_the_toy_is_no_gift():
+    """The expert holds on the source and nowhere that matters, and no one policy serves both targets."""
+    policy, _ = expert()
+    assert error_at(policy, SOURCE.alpha) < 1e-12
+    far = {t.name: error_at(policy, t.alpha) for t in TARGETS} | {"meta": error_at(policy, META)}
+    assert min(far.values()) > 2 * TOLERANCE, far
+    apart = abs(wanted(TARGETS[0].alpha) - wanted(TARGETS[1].alpha))
+    assert apart > 2 * TOLERANCE, f"the targets want actions only {apart:.2f} apart"
+
+
+def test_every_target_is_reached_and_learned(finished):
+    transfer, _ = finished
+    assert set(transfer.arrived) == {"left", "right"} and not transfer.pending
+    errors = {t.name: error_at(transfer.arrived[t.name], t.alpha) for t in TARGETS}
+    assert max(errors.values()) < TOLERANCE, f"the mean action is off by {errors}"
+    assert not records(transfer, "budget")
+
+
+def test_paths_split_at_the_meta_robot(finished):
+    transfer, toy = finished
+    assert list(transfer.routes) == ["path 1", "path 2", "path 3"] and transfer.routes["path 1"] == ["hand"]
+    ends = {tuple(transfer.routes[path]) for path in ("path 2", "path 3")}
+    assert ends == {("hand", "meta", "left"), ("hand", "meta", "right")}
+    tree = evolution_tree(SOURCE, TARGETS)
+    (meta,) = [node.alpha for node in tree.nodes if node.kind == "meta"]
+    np.testing.assert_allclose(meta, META, atol=1e-12)
+    for path in ("path 2", "path 3"):
+        start = next(call["alpha"] for call in toy.calls if call["path"] == path)
+        off = float(np.linalg.norm(start - meta))
+        assert off < 1e-9, f"{path} begins {off:.1e} away from the meta robot"
+
+
+def test_the_answer_was_measured_on_its_target(finished):
+    """The last measurement before "arrived" was played on the target, and what it says is what was played."""
+    transfer, toy = finished
+    log = records(transfer)
+    for target in TARGETS:
+        end = next(i for i, r in enumerate(log) if r["event"] == "arrived" and r["target"] == target.name)
+        check = log[end - 1]
+        assert check["event"] == "check" and check["held"] and check["success"] >= transfer.config.goal
+        last = [call for call in toy.of(training=False) if call["path"] == check["path"]][-1]
+        off = float(np.abs(last["alphas"] - target.alpha).max())
+        assert off < 1e-9, f"success at {target.name} was measured {off:.1e} away from it"
+
+
+def test_checks_say_what_was_played(finished):
+    transfer, toy = finished
+    checks = iter(toy.of(training=False))
+    for record in records(transfer, "check"):
+        played = []
+        while len(played) < record["checked"]:
+            played += next(checks)["seeds"]
+        assert len(played) == record["checked"]
+        assert not record["held"] or record["success"] >= transfer.config.threshold
+    assert next(checks, None) is None, "a measurement was played but not written down"
+
+
+def test_siblings_own_their_policies(tmp_path):
+    transfer = transfer_of(tmp_path / "run", config(), Toy())
+    branch = transfer.pending[0]
+    branch.alpha = META
+    transfer.split(branch, transfer.evolution_tree(branch))
+    first, second = transfer.pending
+    networks = [network for b in (first, second, branch) for network in (b.policy, b.value)]
+    before = [network.parameters.copy() for network in networks]
+    for changed in range(2):
+        networks[changed].set_parameters(before[changed] + 1.0)
+        networks[changed].set_normalisation(np.full(1, 3.0), np.full(1, 2.0))
+    for i in range(2, 6):
+        np.testing.assert_array_equal(networks[i].parameters, before[i])
+        assert float(networks[i].layers().shift[0]) == 0.0
+    assert [branch.targets for branch in transfer.pending] == [["right"], ["left"]], "the first target goes first"
+
+
+def test_the_last_hop_is_trained_like_any_phase(tmp_path):
+    """The native robot wants an action 0.25 beside F(beta)'s: the hop has to learn it, and its episodes count."""
+    toy, native = Toy(), Toy(shift=0.25)
+    transfer = transfer_of(tmp_path / "run", config(native=True), toy, targets=TARGETS[:1], native={"left": native})
+    policy = transfer.meta_evolve()["left"]
+    apart = abs(float(policy.mean(OBSERVATION)[0]) - wanted(TARGETS[0].alpha) - 0.25)
+    assert apart < TOLERANCE, f"the policy that arrived is {apart:.2f} from what the native robot wants"
+    assert native.of(training=True) and {call["stage"] for call in native.calls} == {"settle"}
+    assert {call["stage"] for call in toy.calls} == {"evolve"}
+    cost = transfer.costs["path 1"]
+    assert cost.sim_epochs + cost.check_episodes == toy.episodes + native.episodes
+    last = records(transfer)[-2:]
+    assert [r["event"] for r in last] == ["check", "arrived"] and last[0]["held"]
+
+
+@pytest.mark.parametrize("kind", ["steiner", "geometric-median", "independent"])
+@pytest.mark.parametrize("metric", ["l1", "l2"])
+def test_every_kind_of_tree_is_followed_to_its_ends(tmp_path, kind, metric):
+    transfer = transfer_of(tmp_path / "run", config(kind=kind, metric=metric), Toy())
+    arrived = transfer.meta_evolve()
+    assert max(error_at(arrived[t.name], t.alpha) for t in TARGETS) < TOLERANCE
+    assert len(transfer.costs) == 3, f"{list(transfer.costs)}: one shared path and one per target"
+    if kind == "independent":
+        assert transfer.costs["path 1"].sim_epochs == 0, "independent paths share no way"
+
+
+# -- steps ---------------------------------------------------------------------------------------------------
+
+
+def test_fixed_steps_have_length_xi(finished):
+    transfer, toy = finished
+    if transfer.config.step != "fixed":
+        pytest.skip("adaptive steps have any length")
+    strides = {path: [r["stride"] for r in records(transfer, "moved") if r["path"] == path] for path in transfer.costs}
+    for path, found in strides.items():
+        np.testing.assert_allclose(found[:-1], transfer.config.xi, atol=1e-9, err_msg=path)
+        assert 0.0 < found[-1] <= transfer.config.xi + 1e-9, f"{path} ends with a step of {found[-1]}"
+    ways = [np.linalg.norm(META), *(np.linalg.norm(t.alpha - META) for t in TARGETS)]
+    np.testing.assert_allclose(sorted(sum(found) for found in strides.values()), sorted(ways), atol=1e-9)
+
+
+def test_adaptive_steps_never_skip_a_robot_on_which_they_do_not_hold(finished):
+    """Each move ends where the measurement right before it held, and distances shrink by what was gone."""
+    transfer, _ = finished
+    log = records(transfer)
+    for i, record in enumerate(log):
+        if record["event"] == "moved":
+            assert log[i - 1]["event"] == "check" and log[i - 1]["held"], f"record {i} moves on {log[i - 1]}"
+            gone = log[i - 1]["reach"]
+            assert abs(gone - record["stride"]) < transfer.config.xi + 1e-9, (gone, record["stride"])
+
+
+def test_the_adaptive_step_leaps_where_it_can(tmp_path):
+    """Robots that all want the same action are passed in one leap, and cost no training."""
+    toy = easy_toy()
+    transfer = transfer_of(tmp_path / "run", config(xi=0.01), toy, targets=TARGETS[:1])
+    transfer.meta_evolve()
+    assert not toy.of(training=True)
+    moves = records(transfer, "moved")
+    assert len(moves) == 1 and moves[0]["trained"] is False and moves[0]["distance"] < 1e-12
+
+
+def test_a_step_is_halved_until_it_holds(finished):
+    transfer, _ = finished
+    if transfer.config.step != "adaptive":
+        pytest.skip("fixed steps are never tried")
+    reaches, tried = [], 0
+    for record in records(transfer):
+        if record["event"] == "check":
+            reaches.append(record["reach"])
+        else:
+            failed = [r for r in reaches if r > transfer.config.xi + 1e-9]
+            for longer, shorter in zip(failed, failed[1:], strict=False):
+                tried += 1
+                assert shorter <= longer / 2 + transfer.config.xi, f"after {longer:.3f} came {shorter:.3f}"
+            reaches = []
+    assert tried, "no step had to be halved, so the test saw nothing"
+
+
+# -- what is counted, what is drawn --------------------------------------------------------------------------
+
+
+def test_costs_count_exactly_what_was_played(finished):
+    transfer, toy = finished
+    for path, cost in transfer.costs.items():
+        mine = [call for call in toy.calls if call["path"] == path]
+        trained = [len(call["seeds"]) for call in mine if call["training"]]
+        checked = [len(call["seeds"]) for call in mine if not call["training"]]
+        assert (cost.sim_epochs, cost.check_episodes) == (sum(trained), sum(checked)), path
+        assert cost.train_iterations == len(trained) and set(trained) <= {NPG.batch_size}
+    totals = sum(c.sim_epochs + c.check_episodes for c in transfer.costs.values())
+    assert totals == toy.episodes > 0
+    last = {r["path"]: r for r in records(transfer)}
+    for path, cost in transfer.costs.items():
+        assert all(last[path][key] == getattr(cost, key) for key in ("sim_epochs", "check_episodes", "train_iterations"))
+
+
+def test_seeds_of_training_checking_and_evaluation_never_meet(finished):
+    _, toy = finished
+    trained = {seed for call in toy.of(training=True) for seed in call["seeds"]}
+    checked = {seed for call in toy.of(training=False) for seed in call["seeds"]}
+    assert trained and max(trained) < TRAINING_SEEDS <= CHECKING_SEEDS <= min(checked)
+    assert max(checked) < CHECKING_SEEDS + 100 < EVALUATION_SEEDS
+    counts = sum(len(call["seeds"]) for call in toy.of(training=True))
+    assert len(trained) > 0.99 * counts, f"{counts} training episodes share {len(trained)} seeds"
+
+
+def test_every_robot_is_checked_on_the_same_seeds(finished):
+    _, toy = finished
+    assert {call["seeds"][0] for call in toy.of(training=False)} == {CHECKING_SEEDS}
+    assert all(len(np.unique(call["alphas"], axis=0)) == 1 for call in toy.of(training=False))
+
+
+def test_training_robots_lie_on_the_segment_within_the_window(finished):
+    """Shares in (1 - window, 1] of the way from the robot to the next one; the window closes by 0.995 per update."""
+    transfer, toy = finished
+    phase, updates, drawn = None, 0, []
+    for call in toy.of(training=True):
+        end = call["next"] if call["next"] is not None else call["alpha"]
+        here = (call["path"], call["alpha"].tobytes(), None if call["next"] is None else call["next"].tobytes())
+        updates = updates + 1 if here == phase else 0
+        phase = here
+        assert call["window"] == pytest.approx(0.995**updates, rel=1e-12), f"update {updates} of a phase"
+        shares, off = share_on_segment(call["alphas"], call["alpha"], end)
+        assert off < 1e-12, f"a training robot lies {off:.1e} beside the segment"
+        assert (shares >= 1 - call["window"] - 1e-9).all() and (shares <= 1 + 1e-9).all()
+        drawn += list((1 - shares) / call["window"]) if call["next"] is not None else []
+    assert updates >= 0 and len(drawn) > 100
+    assert abs(np.mean(drawn) - 0.5) < 0.1 and np.ptp(drawn) > 0.9, "robots are not drawn evenly from the window"
+    windows = [r["window"] for r in records(transfer, "update")]
+    assert all(0.0 < w < 1.0 for w in windows), "the window written down is the one after the update"
+
+
+# -- failure -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def hopeless(tmp_path_factory):
+    """(transfer, toy) of a robot that always fails."""
+    toy = Toy(succeeds=False)
+    settings = config(path_budget=48, xi=0.2)
+    transfer = transfer_of(tmp_path_factory.mktemp("hopeless") / "run", settings, toy)
+    transfer.meta_evolve()
+    return transfer, toy
+
+
+def test_a_hopeless_robot_exhausts_the_budget_and_says_so(hopeless):
+    transfer, toy = hopeless
+    budgets = records(transfer, "budget")
+    assert {r["path"] for r in budgets} == set(transfer.costs), "every path has its own budget, and says when it is spent"
+    assert all(cost.sim_epochs == 48 for cost in transfer.costs.values()), transfer.costs
+    assert len(toy.of(training=True)) == 3 * 48 // NPG.batch_size
+
+
+def test_a_hopeless_robot_never_claims_success(hopeless):
+    transfer, _ = hopeless
+    for record in records(transfer):
+        assert not record.get("held") and not record.get("success") and not record.get("train_success"), record
+
+
+def test_moves_on_a_spent_budget_do_not_say_trained(hopeless):
+    transfer, _ = hopeless
+    log = records(transfer)
+    after = [r for before, r in zip(log, log[1:], strict=False) if before["event"] == "budget" and r["event"] == "moved"]
+    assert after and not any(r["trained"] for r in after), f"{len(after)} moves on a spent budget say trained"
+
+
+def test_failure_leaves_the_policy_alone(hopeless):
+    """No reward, no signal: nothing but the value function may change."""
+    transfer, _ = hopeless
+    for policy in transfer.arrived.values():
+        np.testing.assert_array_equal(policy.parameters, expert()[0].parameters)
+
+
+# -- targets that lie on one another's way -------------------------------------------------------------------
+
+
+
+def ends(folder, targets):
+    """Run with a policy that holds everywhere; what arrived when it ended, or after 80 records."""
+
+    def enough(record, branch):
+        if len(records(transfer)) >= 80:
+            raise Killed
+
+    transfer = transfer_of(folder, config(), easy_toy(), targets=targets, report=enough)
+    try:
+        transfer.meta_evolve()
+    except Killed:
+        events = [r["event"] for r in records(transfer)]
+        counts = {event: events.count(event) for event in sorted(set(events))}
+        pytest.fail(f"no end after {counts}, {len(transfer.costs)} paths; arrived: {list(transfer.arrived)}")
+    return set(transfer.arrived)
+
+
+def test_a_target_on_the_way_to_another_is_reached(tmp_path):
+    near, far = Terminal("near", np.array([0.4, 0.4, 0.0])), Terminal("far", np.array([0.8, 0.8, 0.4]))
+    assert ends(tmp_path / "run", [near, far]) == {"near", "far"}
+
+
+def test_two_targets_at_one_place_are_both_reached(tmp_path):
+    twins = [Terminal(name, np.array([0.4, 0.4, 0.0])) for name in ("one", "other")]
+    assert ends(tmp_path / "run", twins) == {"one", "other"}
+
+
+def test_a_target_at_the_source_is_reached(tmp_path):
+    assert ends(tmp_path / "run", [Terminal("same", SOURCE.alpha), TARGETS[0]]) == {"same", "left"}
+
+
+# -- killed and resumed --------------------------------------------------------------------------------------
+
+
+def timeless(transfer):
+    return [{k: v for k, v in record.items() if k not in TIMING} for record in records(transfer)]
+
+
+def assert_same_end(transfer, unbroken):
+    assert timeless(transfer) == timeless(unbroken), "metrics.jsonl differs"
+    for name, policy in unbroken.arrived.items():
+        np.testing.assert_array_equal(transfer.arrived[name].parameters, policy.parameters, err_msg=name)
+        for field in ("shift", "scale"):
+            np.testing.assert_array_equal(getattr(transfer.arrived[name].layers(), field), getattr(policy.layers(), field))
+    assert transfer.costs == unbroken.costs and transfer.routes == unbroken.routes
+    assert set(transfer.arrived) == set(unbroken.arrived)
+
+
+RESUMED = config(native=True, check_every=2, xi=0.2)
+
+
+def natives(**settings):
+    return {"left": Toy(shift=0.2, **settings), "right": Toy(shift=-0.2, **settings)}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    """(transfer, calls of its engine, calls of its native robots) of a run that nobody killed."""
+    toy, others = Toy(), natives()
+    transfer = transfer_of(tmp_path_factory.mktemp("unbroken") / "run", RESUMED, toy, native=others)
+    transfer.meta_evolve()
+    return transfer, len(toy.calls), [len(other.calls) for other in others.values()]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1, 0.35, 0.6, 0.98])
+def test_killed_in_a_rollout_and_resumed_is_the_same_run(tmp_path, unbroken, share):
+    whole, calls, _ = unbroken
+    kill = int(share * calls)
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", RESUMED, Toy(kill_after=kill), native=natives()).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", RESUMED, Toy(), resume=True, native=natives())
+    resumed.meta_evolve()
+    assert_same_end(resumed, whole)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_killed_in_the_last_hop_and_resumed_is_the_same_run(tmp_path, unbroken, share):
+    whole, _, (calls, _) = unbroken
+    others = natives()
+    others["left"].kill_after = int(share * calls)
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", RESUMED, Toy(), native=others).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", RESUMED, Toy(), resume=True, native=natives())
+    resumed.meta_evolve()
+    assert_same_end(resumed, whole)
+
+
+@pytest.mark.parametrize("event", ["check", "update", "moved", "split", "arrived"])
+def test_killed_right_after_an_event_and_resumed_is_the_same_run(tmp_path, unbroken, event):
+    """The record is on disk, the checkpoint is not: the record must not appear twice."""
+
+    def kill(record, branch):
+        if record["event"] == event and record["path"] != "path 1":
+            raise Killed
+
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", RESUMED, Toy(), native=natives(), report=kill).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", RESUMED, Toy(), resume=True, native=natives())
+    resumed.meta_evolve()
+    assert_same_end(resumed, unbroken[0])
+
+
+def test_killed_again_and_again_is_the_same_run(tmp_path, unbroken):
+    whole, calls, _ = unbroken
+    sittings = 0
+    while True:
+        player = Toy(kill_after=12)
+        transfer = transfer_of(tmp_path / "run", RESUMED, player, resume=sittings > 0, native=natives())
+        try:
+            transfer.meta_evolve()
+            break
+        except Killed:
+            sittings += 1
+            assert sittings < calls, "the run does not get anywhere"
+    assert sittings > 3, f"{calls} calls were killed only {sittings} times"
+    assert_same_end(transfer, whole)
+
+
+def test_a_finished_run_resumes_to_its_own_end(tmp_path):
+    finished = transfer_of(tmp_path / "run", config(), Toy())
+    finished.meta_evolve()
+    toy = Toy(kill_after=0)
+    again = transfer_of(tmp_path / "run", config(), toy, resume=True)
+    again.meta_evolve()
+    assert_same_end(again, finished)
+    assert again.seconds >= finished._earlier_seconds
+
+
+def test_another_seed_is_another_run(tmp_path, unbroken):
+    other = config(native=True, check_every=2, xi=0.2, seed=1)
+    transfer = transfer_of(tmp_path / "run", other, Toy(), native=natives())
+    transfer.meta_evolve()
+    assert timeless(transfer) != timeless(unbroken[0])
+
+
+# -- refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [("threshold", 0.0), ("threshold", 1.2), ("goal", 0.0), ("goal", 85), ("shrink", 0.0), ("shrink", 1.5), ("xi", 0.0),
+     ("xi", -0.1), ("xi", math.nan), ("threshold", math.nan)],
+)  # fmt: skip
+def test_shares_and_lengths_are_checked(field, value):
+    with pytest.raises(ToolkitError, match=rf"{field} is {value}; give a number in"):
+        TransferConfig(**{field: value})
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [("check_episodes", 0), ("goal_episodes", 0), ("check_every", 0), ("path_budget", -1), ("step", "leap"), ("seed", -1),
+     ("kind", "star"), ("metric", "l3")],
+)  # fmt: skip
+def test_the_rest_is_checked_in_the_constructor_too(field, value):
+    with pytest.raises(ToolkitError, match=field):
+        TransferConfig(**{field: value})
+
+
+def killed_run(folder):
+    toy = Toy(kill_after=40)
+    with pytest.raises(Killed):
+        transfer_of(folder, config(), toy).meta_evolve()
+
+
+def test_a_checkpoint_of_other_dimensions_is_refused(tmp_path):
+    killed_run(tmp_path / "run")
+    run = Run.open(tmp_path / "run", {})
+    flat = Terminal("hand", np.zeros(4)), [Terminal("left", np.ones(4))]
+    transfer = Transfer(config(), *flat, *expert(), Toy(), {}, run)
+    with pytest.raises(ToolkitError, match="3 evolution dimensions, this space 4; .* start a new run"):
+        transfer.restore()
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path):
+    killed_run(tmp_path / "run")
+    run, rng = Run.open(tmp_path / "run", {}), np.random.default_rng(0)
+    other = GaussianPolicy(["one"], ["a"], rng, hidden=(4,)), ValueFunction(["one"], rng, hidden=(4,))
+    transfer = Transfer(config(), SOURCE, TARGETS, *other, Toy(), {}, run)
+    with pytest.raises(ToolkitError):
+        transfer.restore()
+
+
+def test_a_torn_checkpoint_is_refused(tmp_path):
+    killed_run(tmp_path / "run")
+    file = tmp_path / "run" / "checkpoints" / "transfer.safetensors"
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(ToolkitError, match="truncated or damaged"):
+        transfer_of(tmp_path / "run", config(), Toy(), resume=True)
+
+
+def test_metrics_are_strict_json(finished):
+    transfer, _ = finished
+    text = (transfer.run.path / "metrics.jsonl").read_text()
+    assert "NaN" not in text and "Infinity" not in text
+    events = {json.loads(line)["event"] for line in text.splitlines()}
+    assert events == {"check", "moved", "update", "split", "arrived"}
