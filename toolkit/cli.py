@@ -4,7 +4,6 @@ Heavy imports wait until a command needs them, so that --help answers at once.
 """
 
 import json
-import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from toolkit.errors import ToolkitError
+from toolkit.quiet import silence_robosuite
 
 if TYPE_CHECKING:
     from robots.robot import Robot
@@ -32,17 +32,8 @@ app = tyro.extras.SubcommandApp()
 # ---- looking names up ------------------------------------------------------------------------------------------------
 
 
-def _quiet() -> None:
-    """robosuite greets every import with notices about options that this toolkit does not use."""
-    import os
-
-    os.environ.setdefault("ROBOSUITE_LOG_LEVEL", "ERROR")
-    logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
-    logging.disable(logging.WARNING)
-
-
 def _robot(name: str) -> "Robot":
-    _quiet()
+    silence_robosuite()
     from robots import ROBOTS
 
     if name not in ROBOTS:
@@ -51,7 +42,7 @@ def _robot(name: str) -> "Robot":
 
 
 def _task(name: str) -> "PickTask":
-    _quiet()
+    silence_robosuite()
     from tasks import TASKS
 
     if name not in TASKS:
@@ -296,7 +287,7 @@ def evaluate(
         seed: shifts the evaluation's seeds.
         json: print one JSON object (a list if there are several targets).
     """
-    _quiet()
+    silence_robosuite()
     from toolkit.evaluation import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
@@ -348,7 +339,7 @@ def verify(bundle: Annotated[Path, tyro.conf.Positional], episodes: int = 50, se
         seed: shifts the episodes' seeds.
         json: print one JSON object.
     """
-    _quiet()
+    silence_robosuite()
     from toolkit.bundle import check_bundle, load_bundle
 
     checked = check_bundle(load_bundle(bundle))
@@ -414,7 +405,7 @@ def doctor(json: bool = False) -> None:
     Args:
         json: print one JSON object.
     """
-    _quiet()
+    silence_robosuite()
     from toolkit.doctor import checks
 
     found = checks()

@@ -1,6 +1,5 @@
 """Success where it is claimed: on F(beta), and on the unmodified robosuite robot through robosuite's own env.step."""
 
-import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -20,6 +19,7 @@ from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_o
 from toolkit.bundle import Bundle, load_bundle
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
+from toolkit.quiet import silence_robosuite
 from toolkit.simulation.plant import CLOSING, command_law, finger_map
 from toolkit.simulation.rollout import RolloutEngine
 
@@ -181,9 +181,6 @@ def _play_natively(job: tuple[Robot, PickTask, GaussianPolicy | Path, int]) -> b
     return _robots[key].play(policy.mean, seed)
 
 
-def _silence() -> None:
-    """robosuite greets every process with notices about options that this toolkit does not use."""
-    logging.disable(logging.WARNING)
 
 
 def evaluate_native(
@@ -219,5 +216,5 @@ def _outcomes(jobs: Sequence[tuple], workers: int) -> Iterator[bool]:
     if workers == 1 or len(jobs) < 4:
         yield from map(_play_natively, jobs)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_silence) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=silence_robosuite) as pool:
         yield from pool.map(_play_natively, jobs, chunksize=2)
