@@ -33,7 +33,6 @@ app = tyro.extras.SubcommandApp()
 
 
 def _robot(name: str) -> "Robot":
-    silence_robosuite()
     from robots import ROBOTS
 
     if name not in ROBOTS:
@@ -42,7 +41,6 @@ def _robot(name: str) -> "Robot":
 
 
 def _task(name: str) -> "PickTask":
-    silence_robosuite()
     from tasks import TASKS
 
     if name not in TASKS:
@@ -287,7 +285,6 @@ def evaluate(
         seed: shifts the evaluation's seeds.
         json: print one JSON object (a list if there are several targets).
     """
-    silence_robosuite()
     from toolkit.evaluation import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
@@ -314,7 +311,8 @@ def evaluate(
 
 def _sentence(result: "Evaluation") -> str:
     low, high = result.ci95
-    return f"{result.target} ({result.env}): {result.successes} of {result.episodes}, {result.success_rate:.0%} (95 %: {low:.2f} to {high:.2f})"
+    counts = f"{result.successes} of {result.episodes}, {result.success_rate:.0%}"
+    return f"{result.target} ({result.env}): {counts} (95 %: {low:.2f} to {high:.2f})"
 
 
 def _bundle_success(path: Path, episodes: int, seed: int, quiet: bool) -> "Evaluation":
@@ -339,13 +337,13 @@ def verify(bundle: Annotated[Path, tyro.conf.Positional], episodes: int = 50, se
         seed: shifts the episodes' seeds.
         json: print one JSON object.
     """
-    silence_robosuite()
     from toolkit.bundle import check_bundle, load_bundle
 
     checked = check_bundle(load_bundle(bundle))
     result = _bundle_success(bundle, episodes, seed, quiet=json)
     content = checked | {"success_rate": result.success_rate, "ci95": list(result.ci95), "episodes": episodes}
-    _emit(content, json, f"ONNX error {checked['onnx_max_abs_error']:.1e}, limits {'kept' if checked['limits_ok'] else 'BROKEN'}; {_sentence(result)}")
+    limits = "kept" if checked["limits_ok"] else "BROKEN"
+    _emit(content, json, f"ONNX error {checked['onnx_max_abs_error']:.1e}, limits {limits}; {_sentence(result)}")
     if not (checked["golden_ok"] and checked["limits_ok"]):
         raise SystemExit(1)
 
@@ -405,7 +403,6 @@ def doctor(json: bool = False) -> None:
     Args:
         json: print one JSON object.
     """
-    silence_robosuite()
     from toolkit.doctor import checks
 
     found = checks()
@@ -476,7 +473,8 @@ class _Progress:
 
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "evaluating":
-                self.show(f"evaluating {record['target']}", f"{record['episodes']} episodes on F(beta) and on the native robot", now=True)
+                detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
+                self.show(f"evaluating {record['target']}", detail, now=True)
                 return
             state["distance"] = record.get("distance", state["distance"])
             state["success"] = record.get("success", record.get("train_success", state["success"]))
@@ -491,6 +489,7 @@ class _Progress:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; exit status 0 done, 2 bad input, 1 a failure of the tool, 130 on Ctrl-C."""
+    silence_robosuite()
     try:
         app.cli(prog="meta-evolve", description="Transfer a dexterous hand's policy to commercial arms by robot evolution.",
                 args=arguments)  # fmt: skip

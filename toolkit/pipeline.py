@@ -52,6 +52,13 @@ class Job:
     transfer: TransferConfig = field(default_factory=TransferConfig)
     evaluation_episodes: int = 200
 
+    def __post_init__(self) -> None:
+        names = [robot.name for robot in self.targets]
+        if self.source.name in names:
+            raise ToolkitError(f"{self.source.name!r} is both source and target; leave it out of the targets")
+        if not names or len(set(names)) != len(names):
+            raise ToolkitError(f"targets are {', '.join(names) or 'none'}; name each once, and at least one")
+
     def config(self) -> dict[str, Any]:
         """As written to config.json, and compared on --resume."""
         return {
