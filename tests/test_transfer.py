@@ -252,10 +252,9 @@ def test_every_kind_of_tree_is_followed_to_its_ends(tmp_path, kind, metric):
 # -- steps ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("finished", ["fixed"], indirect=True)
 def test_fixed_steps_have_length_xi(finished):
     transfer, toy = finished
-    if transfer.config.step != "fixed":
-        pytest.skip("adaptive steps have any length")
     strides = {path: [r["stride"] for r in records(transfer, "moved") if r["path"] == path] for path in transfer.costs}
     for path, found in strides.items():
         np.testing.assert_allclose(found[:-1], transfer.config.xi, atol=1e-9, err_msg=path)
@@ -285,10 +284,9 @@ def test_the_adaptive_step_leaps_where_it_can(tmp_path):
     assert len(moves) == 1 and moves[0]["trained"] is False and moves[0]["distance"] < 1e-12
 
 
+@pytest.mark.parametrize("finished", ["adaptive"], indirect=True)
 def test_a_step_is_halved_until_it_holds(finished):
     transfer, _ = finished
-    if transfer.config.step != "adaptive":
-        pytest.skip("fixed steps are never tried")
     reaches, tried = [], 0
     for record in records(transfer):
         if record["event"] == "check":
@@ -400,7 +398,6 @@ def test_failure_leaves_the_policy_alone(hopeless):
 # -- targets that lie on one another's way -------------------------------------------------------------------
 
 
-
 def ends(folder, targets):
     """Run with a policy that holds everywhere; what arrived when it ended, or after 80 records."""
 
@@ -465,7 +462,7 @@ def unbroken(tmp_path_factory):
     return transfer, len(toy.calls), [len(other.calls) for other in others.values()]
 
 
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.1, 0.35, 0.6, 0.98])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.35, 0.98])
 def test_killed_in_a_rollout_and_resumed_is_the_same_run(tmp_path, unbroken, share):
     whole, calls, _ = unbroken
     kill = int(share * calls)

@@ -1,0 +1,223 @@
+"""The source expert: a script that succeeds, a clone that follows it, and the experts that come with the package."""
+
+import json
+import shlex
+
+import numpy as np
+import pytest
+
+from robots import ROBOTS
+from tasks import TASKS
+from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
+from toolkit.demonstrations import PickScript, entry
+from toolkit.errors import ToolkitError
+from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
+from toolkit.expert import (
+    DEMONSTRATION_SEEDS,
+    EXPERT_SEEDS,
+    OBSERVATION_NOISE,
+    SHIPPED,
+    ExpertConfig,
+    NoisyScript,
+    _with_noise,
+    entry_names,
+    expert_files,
+    load_expert,
+    new_learner,
+    save_expert,
+    train_expert,
+)
+from toolkit.learning.cloning import CloningConfig
+from toolkit.learning.npg import NpgConfig
+from toolkit.simulation.rollout import RolloutEngine
+from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS
+
+SOURCE = "adroit"
+CARDS = sorted(SHIPPED.glob("*.json"))
+
+
+@pytest.fixture(scope="module")
+def engine(merged):
+    engine = RolloutEngine(merged, threads=2)
+    yield engine
+    engine.close()
+
+
+@pytest.fixture(autouse=True)
+def log_elsewhere(tmp_path, monkeypatch):
+    """MuJoCo writes its warnings to MUJOCO_LOG.TXT where it runs."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def demonstrations(engine):
+    beta = engine.merged.space.beta(SOURCE)
+    return engine.play(NoisyScript(PickScript(), 0.12), [beta] * 8, list(range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + 8)))
+
+
+# -- the script ----------------------------------------------------------------------------------------------
+
+
+def test_the_script_demonstrates_under_noise(demonstrations):
+    kept = sum(episode.success for episode in demonstrations)
+    assert kept >= 6, f"{kept} of 8 noisy demonstrations succeed on F(beta_0)"
+    assert not any(episode.diverged for episode in demonstrations)
+
+
+def test_the_script_reads_the_observation_alone(demonstrations):
+    """So its label at a remembered observation is what it wanted there; the noise went into the motion only."""
+    script = PickScript()
+    episode = demonstrations[0]
+    wanted = np.array([script(observation) for observation in episode.observations])
+    apart = episode.actions - wanted
+    assert np.abs(wanted).max() <= 1.0 and wanted.shape[1] == ACTION_SIZE
+    assert 0.06 < apart[:, :6].std() < 0.2, f"motion noise has deviation {apart[:, :6].std():.3f}, not 0.12"
+    assert 0.02 < apart[:, 6:].std() < 0.06, f"finger noise has deviation {apart[:, 6:].std():.3f}, not 0.036"
+
+
+def test_the_script_does_not_look_at_fingers():
+    """So that one hand's posture never becomes part of the label."""
+    rng, script = np.random.default_rng(0), PickScript()
+    fingers = sum(name.startswith("finger/") for name in OBSERVATION)
+    for _ in range(50):
+        observation = 0.1 * rng.standard_normal(OBSERVATION_SIZE)
+        other = observation.copy()
+        other[:fingers] += 0.3 * rng.standard_normal(fingers)
+        np.testing.assert_array_equal(script(observation), script(other))
+
+
+# -- the data ------------------------------------------------------------------------------------------------
+
+
+def test_noisy_copies_keep_the_original_and_the_label_of_what_is_seen(demonstrations):
+    script, rng = PickScript(), np.random.default_rng(0)
+    observations = demonstrations[0].observations
+    seen, labels = _with_noise(observations, script, 20, rng)
+    assert seen.shape == (21 * len(observations), OBSERVATION_SIZE) and labels.shape == (len(seen), ACTION_SIZE)
+    np.testing.assert_array_equal(seen[: len(observations)], observations)
+    for i in rng.integers(len(seen), size=50):
+        np.testing.assert_array_equal(labels[i], script(seen[i]))
+    noise = (seen - np.tile(observations, (21, 1)))[len(observations) :].std(axis=0)
+    worst = float(np.abs(noise / OBSERVATION_NOISE - 1).max())
+    assert worst < 0.15, f"an entry's noise is {worst:.0%} from its OBSERVATION_NOISE"
+
+
+def test_finger_noise_alone_keeps_every_label(demonstrations, monkeypatch):
+    fingers = np.array([name.startswith("finger/") for name in entry_names(OBSERVATION)])
+    monkeypatch.setattr("toolkit.expert.OBSERVATION_NOISE", np.where(fingers, OBSERVATION_NOISE, 0.0))
+    observations = demonstrations[0].observations
+    seen, labels = _with_noise(observations, PickScript(), 3, np.random.default_rng(0))
+    assert (seen[len(observations) :, fingers] != np.tile(observations, (3, 1))[:, fingers]).all()
+    np.testing.assert_array_equal(seen[:, ~fingers], np.tile(observations, (4, 1))[:, ~fingers])
+    np.testing.assert_array_equal(labels, np.tile(labels[: len(observations)], (4, 1)))
+
+
+def test_names_are_one_per_number():
+    assert len(entry_names(OBSERVATION)) == OBSERVATION_SIZE and len(entry_names(ACTION)) == ACTION_SIZE
+    assert entry_names({"a": 1, "b": 2}) == ["a", "b[0]", "b[1]"]
+    observation = np.arange(OBSERVATION_SIZE, dtype=float)
+    assert entry(observation, "goal_from_object")[-1] == OBSERVATION_SIZE - 1
+
+
+def test_no_two_purposes_share_seeds():
+    spans = {
+        "training": (0, TRAINING_SEEDS), "checking": (CHECKING_SEEDS, CHECKING_SEEDS + 10**4),
+        "demonstrations": (DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + ExpertConfig().demonstrations),
+        "expert": (EXPERT_SEEDS, EXPERT_SEEDS + 10**6), "evaluation": (EVALUATION_SEEDS, 2**63),
+    }  # fmt: skip
+    ordered = sorted(spans.values())
+    assert all(end <= start for (_, end), (start, _) in zip(ordered, ordered[1:], strict=False)), spans
+
+
+# -- training ------------------------------------------------------------------------------------------------
+
+
+def test_a_few_demonstrations_are_cloned(engine):
+    events = []
+    config = ExpertConfig(demonstrations=6, copies=2, updates=1, cloning=CloningConfig(epochs=8), npg=NpgConfig(batch_size=4))
+    policy, value, card = train_expert(engine, SOURCE, config, events.append)
+    losses = [record["loss"] for record in events if record["event"] == "cloning"]
+    assert len(losses) == 8 and losses[-1] < 0.7 * losses[0], f"cloning went from {losses[0]:.3f} to {losses[-1]:.3f}"
+    assert card["demonstrations"] == 6 and 1 <= card["demonstrations_kept"] <= 6
+    assert [record["event"] for record in events].count("update") == 1
+    script, fresh = PickScript(), new_learner(0)[0]
+    beta = engine.merged.space.beta(SOURCE)
+    seen = np.concatenate([e.observations for e in engine.play(script, [beta] * 2, [900, 901])])
+    wanted = np.array([script(observation) for observation in seen])
+    far = {name: float(np.abs(p.mean(seen) - wanted).mean()) for name, p in (("clone", policy), ("fresh", fresh))}
+    assert far["clone"] < 0.5 * far["fresh"], f"mean distance to the script on unseen seeds: {far}"
+    assert np.isfinite(value.parameters).all()
+
+
+def test_no_demonstration_at_all_is_said(engine):
+    with pytest.raises(ToolkitError, match="none of 0 scripted demonstrations succeeds on adroit"):
+        train_expert(engine, SOURCE, ExpertConfig(demonstrations=0))
+
+
+# -- files ---------------------------------------------------------------------------------------------------
+
+
+def test_an_expert_comes_back_as_it_was_saved(tmp_path, monkeypatch):
+    policy, value = new_learner(3)
+    save_expert(policy, value, tmp_path / "new" / "folder", "arm-cup", {"command": "made by hand"})
+    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path / "new" / "folder")
+    again, critic = load_expert("arm", "cup")
+    np.testing.assert_array_equal(again.parameters, policy.parameters)
+    np.testing.assert_array_equal(critic.parameters, value.parameters)
+    assert json.loads((tmp_path / "new" / "folder" / "arm-cup.json").read_text()) == {"command": "made by hand"}
+
+
+@pytest.mark.parametrize("source, task", [("jaco", "061_foam_brick"), ("adroit", "juggling"), ("", "")])
+def test_an_unknown_pair_gets_the_command_that_trains_it(source, task):
+    with pytest.raises(ToolkitError) as refused:
+        load_expert(source, task)
+    said = str(refused.value)
+    assert f"no expert is shipped for source {source!r} and task {task!r}" in said and "adroit-061_foam_brick" in said
+    assert said.endswith(f"train one with: meta-evolve expert --source {source} --task {task}")
+
+
+def test_a_pair_of_which_half_is_missing_is_refused(tmp_path, monkeypatch):
+    policy, value = new_learner(0)
+    save_expert(policy, value, tmp_path, "arm-cup", {})
+    (tmp_path / "arm-cup.value.safetensors").unlink()
+    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path)
+    with pytest.raises(ToolkitError, match="arm-cup.value.safetensors does not exist"):
+        load_expert("arm", "cup")
+
+
+# -- what comes with the package -----------------------------------------------------------------------------
+
+
+def pair(card):
+    source, _, task = card.stem.partition("-")
+    return source, task
+
+
+def test_the_headline_expert_is_shipped():
+    assert f"{SOURCE}-061_foam_brick" in [card.stem for card in CARDS]
+
+
+@pytest.mark.parametrize("card", CARDS, ids=lambda card: card.stem)
+def test_a_shipped_expert_explains_itself(card):
+    source, task = pair(card)
+    assert source in ROBOTS and task in TASKS
+    policy, value = load_expert(source, task)
+    assert policy.observation_names == value.observation_names
+    size = sum(file.stat().st_size for file in (*expert_files(source, task), card))
+    assert size < 10**6, f"{size / 1e6:.1f} MB"
+    content = json.loads(card.read_text())
+    words = shlex.split(content["command"])
+    assert words[:2] == ["meta-evolve", "expert"]
+    given = dict(zip(words[2::2], words[3::2], strict=True))
+    assert (given["--source"], given["--task"]) == (source, task) and int(given["--seed"]) >= 0
+    assert int(given["--demonstrations"]) == content["demonstrations"] >= content["demonstrations_kept"] > 0
+    result = content["evaluation"]
+    assert (result["target"], result["env"]) == (source, "native") and result["episodes"] >= 100
+    assert result["success_rate"] == result["successes"] / result["episodes"] >= 0.8, result
+
+
+@pytest.mark.parametrize("card", [card for card in CARDS if pair(card)[1] == "061_foam_brick"], ids=lambda card: card.stem)
+def test_a_shipped_expert_succeeds_on_the_merged_source(engine, card):
+    policy, _ = load_expert(*pair(card))
+    result = evaluate_merged(policy, engine, SOURCE, 8, seed=77)
+    assert result.successes >= 7, f"{result.successes} of 8 unseen seeds on F(beta_0)"
