@@ -197,20 +197,17 @@ def test_viewing_what_has_no_recording(capsys, trained):
     assert f"no recording at {trained}" in refusal(capsys, "view", trained)
 
 
-@pytest.mark.xfail(strict=True, reason="_trained() reads config['targets'] of any JSON object: KeyError, a traceback")
 @pytest.mark.parametrize("arguments", [["evaluate"], ["export", "--target", "kinova3", "--out", "bundle"]])
 def test_a_config_of_something_else_is_refused(capsys, arguments):
     Run.create("other", {"colour": "green"})
     refusal(capsys, arguments[0], "other", *arguments[1:])
 
 
-@pytest.mark.xfail(strict=True, reason="not checked before the work: IndexError on 0 episodes, ValueError on a negative seed")
 @pytest.mark.parametrize("option, value", [("--episodes", 0), ("--episodes", -3), ("--seed", -2000)])
 def test_an_evaluation_of_nothing_is_refused(capsys, trained, option, value):
     assert str(value) in refusal(capsys, "evaluate", trained, "--target", "kinova3", "--native", "--episodes", 1, option, value)
 
 
-@pytest.mark.xfail(strict=True, reason="the sentence is written for transfer --resume, also when evaluate or export speak")
 @pytest.mark.parametrize("arguments", [["evaluate"], ["export", "--target", "kinova3", "--out", "bundle"]])
 def test_advice_fits_the_command(capsys, arguments):
     assert "--resume" not in refusal(capsys, arguments[0], "nowhere", *arguments[1:])

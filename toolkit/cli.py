@@ -285,6 +285,8 @@ def evaluate(
         seed: shifts the evaluation's seeds.
         json: print one JSON object (a list if there are several targets).
     """
+    if episodes < 1 or seed < 0:
+        raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
     from toolkit.evaluation import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
@@ -356,6 +358,9 @@ def _trained(folder: Path, target: str | None) -> tuple[dict, dict[str, "Gaussia
     from toolkit.runs import Run
 
     content = Run.open(folder).config
+    missing = [key for key in ("source", "targets", "task") if key not in content]
+    if missing:
+        raise ToolkitError(f"{folder / 'config.json'} has no {missing[0]!r}, so it is no transfer's run folder")
     found = {}
     for name in content["targets"] if target is None else [target]:
         if name not in content["targets"]:

@@ -82,7 +82,7 @@ class Run:
         """
         path = Path(path)
         if not path.is_dir():
-            raise ToolkitError(f"run folder {path} does not exist; check the path, or start it without --resume")
+            raise ToolkitError(f"run folder {path} does not exist; check the path")
         stored = _read_json_object(path / "config.json", "start the run again under another --run")
         if config is not None:
             for key, old, new in _differences(stored, _plain(config)):

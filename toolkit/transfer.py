@@ -200,13 +200,15 @@ class Transfer:
         """Lines 10 to 12: one branch per subtree, each with its own copy of the policy; targets reached get their own."""
         self.pending.pop()
         parts = [*step.partition, *(frozenset([name]) for name in step.reached)]
-        for part in sorted(parts, key=lambda p: min(branch.targets.index(name) for name in p), reverse=True):
+        branches = []
+        for part in sorted(parts, key=lambda p: min(branch.targets.index(name) for name in p)):
             path = f"path {len(self.costs) + 1}"
             self.costs[path] = Cost()
             names = [name for name in branch.targets if name in part]
             self.routes[path] = [*self.routes[branch.path], "meta"]
-            self.pending.append(Branch(path, branch.alpha, names, branch.policy.copy(), branch.value.copy()))
-            self.say("split", self.pending[-1], parent=branch.path, targets=" ".join(names))
+            branches.append(Branch(path, branch.alpha, names, branch.policy.copy(), branch.value.copy()))
+            self.say("split", branches[-1], parent=branch.path, targets=" ".join(names))
+        self.pending += reversed(branches)  # the last one is played first
 
     def reach(self, branch: Branch) -> None:
         """Line 8: F(beta) is reached. Train there to the goal, then hop to the native robot."""
@@ -237,7 +239,14 @@ class Transfer:
     # ---- lines 4 and 5: one phase ------------------------------------------------------------------------------
 
     def evolve(self, branch: Branch, step: MetaStep) -> None:
-        """Advance towards the meta robot: choose the next robot, then train until the policy holds on it."""
+        """Advance towards the meta robot: choose the next robot, then train until the policy holds on it.
+
+        A path whose budget is spent leaps to its end, where what it has reached is measured.
+        """
+        if self.costs[branch.path].sim_epochs >= self.config.path_budget:
+            self.say("budget", branch, reach=float(np.linalg.norm(step.meta_alpha - branch.alpha)))
+            self.move(branch, step.meta_alpha, branch.stride, trained=False)
+            return
         if branch.next_alpha is None:
             self.choose_next(branch, step.meta_alpha)
             return
