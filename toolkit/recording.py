@@ -104,6 +104,7 @@ class Recording:
         self._episodes: dict[str, rrb.EyeControls3D] = {}  # entity -> where to look at it from
         self._morphs: dict[str, rrb.EyeControls3D] = {}
         self._summary = False
+        self._outdated = False  # whether the latest layout lacks a curve
         self._bounds: rrb.VisualBounds2D | None = None
         self._stream = rr.RecordingStream("meta-evolve", recording_id=self._continue_parts(earlier))
         self._stream.set_log_time_enabled(False)
@@ -124,6 +125,8 @@ class Recording:
 
     def close(self) -> None:
         """Finish the file. Logging to it afterwards is lost."""
+        if self._outdated:
+            self._arrange()
         self._stream.flush()
         self._stream.disconnect()
 
@@ -177,8 +180,7 @@ class Recording:
             self._set_times(iteration=step)
             self._stream.log(entity, rr.Scalars(float(value)))
             self._waiting.setdefault(entity, []).append((step, float(value)))
-        if new:
-            self._arrange()
+        self._outdated = self._outdated or new  # a layout is large: it waits for the next episode, or the end
         self._stream.flush()
 
     def log_episode(
@@ -219,6 +221,8 @@ class Recording:
         self._log_label(entity, f"iteration {phase}", model, positions[0])
         end_time = start_time + control_dt * len(qpos)
         self._repeat_curves(start_time, end_time)
+        if self._outdated:
+            self._arrange()
         self._stream.flush()
         return end_time
 
@@ -339,6 +343,7 @@ class Recording:
             auto_views=False,
         )
         self._stream.send_blueprint(blueprint)
+        self._outdated = False
         self._stream.flush()
 
     def _curve_view(self, key: str) -> rrb.TimeSeriesView:
