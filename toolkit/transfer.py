@@ -251,9 +251,9 @@ class Transfer:
             self.choose_next(branch, step.meta_alpha)
             return
         outcome = self.train_to(branch, self.engine, branch.next_alpha, self.config.threshold, self.config.check_episodes)
-        if outcome != "training":
+        if outcome == "held":
             length = float(np.linalg.norm(branch.next_alpha - branch.alpha))
-            self.move(branch, branch.next_alpha, length, trained=outcome == "held")
+            self.move(branch, branch.next_alpha, length, trained=True)
 
     def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
         """Pick the next robot on the straight line to ``meta`` (D,).

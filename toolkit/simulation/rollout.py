@@ -70,7 +70,35 @@ def play(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray, trace: list[n
     )  # fmt: skip
 
 
-class RolloutEngine:
+class _Engine:
+    """Plays batches of episodes with workers that each borrow what they need from ``_idle``.
+
+    Attributes:
+        threads: workers.
+        episodes_played: since the start.
+    """
+
+    def __init__(self, threads: int | None) -> None:
+        self.threads = threads or len(os.sched_getaffinity(0))
+        self._pool = ThreadPoolExecutor(self.threads)
+        self._idle: SimpleQueue = SimpleQueue()
+        self.episodes_played = 0
+
+    def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> Episode:
+        raise NotImplementedError
+
+    def play(self, actor: Actor, alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
+        """One episode per (alpha (D,), seed), in order."""
+        episodes = list(self._pool.map(lambda pair: self._one(actor, *pair), zip(alphas, seeds, strict=True)))
+        self.episodes_played += len(episodes)
+        return episodes
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self._pool.shutdown()
+
+
+class RolloutEngine(_Engine):
     """Plays batches of episodes on a merged robot.
 
     Every episode runs whole on one thread, from its own seed and on its own copy of the model, so results do not depend
@@ -79,19 +107,13 @@ class RolloutEngine:
     Args:
         merged: the merged robot in its task.
         threads: workers; default: the machine's cores.
-
-    Attributes:
-        episodes_played: since the start.
     """
 
     def __init__(self, merged: MergedRobot, threads: int | None = None) -> None:
+        super().__init__(threads)
         self.merged = merged
-        self.threads = threads or len(os.sched_getaffinity(0))
-        self._pool = ThreadPoolExecutor(self.threads)
-        self._idle: SimpleQueue[tuple[mujoco.MjModel, mujoco.MjData]] = SimpleQueue()
         for _ in range(self.threads):
             self._idle.put(merged.new())
-        self.episodes_played = 0
 
     def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> Episode:
         model, data = self._idle.get()
@@ -99,12 +121,6 @@ class RolloutEngine:
             return play(merged_plant(self.merged, alpha, model, data), actor, seed, alpha)
         finally:
             self._idle.put((model, data))
-
-    def play(self, actor: Actor, alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
-        """One episode per (alpha (D,), seed), in order."""
-        episodes = list(self._pool.map(lambda pair: self._one(actor, *pair), zip(alphas, seeds, strict=True)))
-        self.episodes_played += len(episodes)
-        return episodes
 
     def trace(self, actor: Actor, alpha: np.ndarray, seed: int) -> Trace:
         """One episode with what the viewer needs, on a model of its own; not counted."""
@@ -114,21 +130,17 @@ class RolloutEngine:
         episode = play(plant, actor, seed, alpha, qpos)
         return Trace(model, np.array(qpos), plant.goal, episode.success)
 
-    def close(self) -> None:
-        """Stop the workers."""
-        self._pool.shutdown()
 
+class NativeEngine(_Engine):
+    """Plays episodes on an unmodified robosuite robot with the compiled control step (not robosuite's own step).
 
-class NativeEngine:
-    """Plays episodes on an unmodified robosuite robot with the compiled control step (not robosuite's own step)."""
+    Its robot is the only one it has: the alphas of ``play`` are recorded, nothing more.
+    """
 
     def __init__(self, robot: Robot, task: PickTask, threads: int | None = None) -> None:
-        self.threads = threads or len(os.sched_getaffinity(0))
-        self._pool = ThreadPoolExecutor(self.threads)
-        self._idle: SimpleQueue[Plant] = SimpleQueue()
+        super().__init__(threads)
         for _ in range(self.threads):
             self._idle.put(native_plant(robot, task))
-        self.episodes_played = 0
 
     def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> Episode:
         plant = self._idle.get()
@@ -136,9 +148,3 @@ class NativeEngine:
             return play(plant, actor, seed, alpha)
         finally:
             self._idle.put(plant)
-
-    def play(self, actor: Actor, alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
-        """One episode per seed; alphas (D,) are recorded only."""
-        episodes = list(self._pool.map(lambda pair: self._one(actor, *pair), zip(alphas, seeds, strict=True)))
-        self.episodes_played += len(episodes)
-        return episodes
