@@ -34,6 +34,14 @@ PRESETS: dict[str, dict[str, Any]] = {
 """Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
 
 
+def _check_roles(source: Robot, targets: Sequence[Robot]) -> None:
+    names = [robot.name for robot in targets]
+    if source.name in names:
+        raise ToolkitError(f"{source.name!r} is both source and target; leave it out of the targets")
+    if not names or len(set(names)) != len(names):
+        raise ToolkitError(f"targets are {', '.join(names) or 'none'}; name each once, and at least one")
+
+
 @dataclass(frozen=True)
 class Job:
     """What a run is asked to do.
@@ -53,11 +61,7 @@ class Job:
     evaluation_episodes: int = 200
 
     def __post_init__(self) -> None:
-        names = [robot.name for robot in self.targets]
-        if self.source.name in names:
-            raise ToolkitError(f"{self.source.name!r} is both source and target; leave it out of the targets")
-        if not names or len(set(names)) != len(names):
-            raise ToolkitError(f"targets are {', '.join(names) or 'none'}; name each once, and at least one")
+        _check_roles(self.source, self.targets)
 
     def config(self) -> dict[str, Any]:
         """As written to config.json, and compared on --resume."""
@@ -93,8 +97,7 @@ class Lab:
     """
 
     def __init__(self, source: Robot, targets: Sequence[Robot], task: PickTask) -> None:
-        if source.name in [robot.name for robot in targets]:
-            raise ToolkitError(f"{source.name!r} is both source and target; leave it out of the targets")
+        _check_roles(source, targets)
         self.source, self.targets, self.task = source, tuple(targets), task
         self.space = EvolutionSpace(match([source, *targets]))
         self.merged = MergedRobot(self.space, task)
