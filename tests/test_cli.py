@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import toolkit.pipeline
 from toolkit import cli
-from toolkit.cli import TARGETS, TASK, main
+from toolkit.cli import main
+from toolkit.cli.names import TARGETS, TASK
 from toolkit.runs import Run
 
 COMMANDS = ("robots", "match", "tree", "expert", "transfer", "evaluate", "view", "export", "verify", "doctor")
@@ -73,7 +75,7 @@ def shell(*arguments):
 @pytest.fixture
 def importable(monkeypatch):
     """Child processes find the packages also when they are not installed."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(cli.__file__).parents[1]))
+    monkeypatch.setenv("PYTHONPATH", str(Path(cli.__file__).parents[2]))
 
 
 # -- names ---------------------------------------------------------------------------------------------------
@@ -308,11 +310,11 @@ def lab(monkeypatch, space, merged, task):
     made.source, *targets = (ROBOTS[name] for name in space.matching.names)
     made.targets, made.task, made.space, made.merged = tuple(targets), task, space, merged
 
-    def same(source, targets, task_name):
-        assert [source, *targets] == list(space.matching.names) and task_name == task.name
+    def same(source, targets, what):
+        assert [source.name, *(robot.name for robot in targets)] == list(space.matching.names) and what == task
         return made
 
-    monkeypatch.setattr(cli, "_lab", same)
+    monkeypatch.setattr(toolkit.pipeline, "Lab", same)
     return made
 
 

@@ -244,11 +244,11 @@ def _improve(
     )
     if not np.isfinite(numbers).all():
         raise ToolkitError(
-            f"npg_step made an update that is not finite ({dict(zip(keys, numbers))}); "
+            f"npg_step made an update that is not finite ({dict(zip(keys, numbers, strict=True))}); "
             "look for huge rewards or observations in the batch; the policy was left alone."
         )
     policy.set_parameters(new.numpy())
-    return {"no_signal": False} | dict(zip(keys, numbers))
+    return {"no_signal": False} | dict(zip(keys, numbers, strict=True))
 
 
 def fisher_vector_product(

@@ -10,6 +10,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -72,7 +73,7 @@ class _Network:
         self.hidden = tuple(int(size) for size in hidden)
         n_obs = len(self.observation_names)
         self._sizes = (n_obs, *self.hidden, n_out)
-        n_weights = sum((n_in + 1) * n for n_in, n in zip(self._sizes, self._sizes[1:]))
+        n_weights = sum((n_in + 1) * n for n_in, n in pairwise(self._sizes))
         self._parameters = np.zeros(n_weights + n_log_std)
         self._weights = _unflatten(self._parameters, self._sizes)
         self._log_std = self._parameters[n_weights:]
@@ -105,7 +106,7 @@ class _Network:
         Raises:
             ToolkitError: wrong shape, a number that is not finite, or a scale that is not positive.
         """
-        for name, low in zip(self.observation_names, np.ravel(scale)):
+        for name, low in zip(self.observation_names, np.ravel(scale), strict=False):  # its shape is checked below
             if not low > 0.0:
                 raise ToolkitError(f"scale of observation {name!r} is {low}; give a positive number.")
         self._overwrite(self._shift, shift, "shift")
@@ -411,7 +412,7 @@ class ValueFunction(_Network):
 def _unflatten(flat: Any, sizes: Sequence[int]) -> tuple[tuple[Any, Any], ...]:
     """Views ((n_out, n_in) W, (n_out,) b) into a flat vector, numpy or torch alike."""
     layers, start = [], 0
-    for n_in, n_out in zip(sizes, sizes[1:]):
+    for n_in, n_out in pairwise(sizes):
         middle = start + n_in * n_out
         layers.append((flat[start:middle].reshape(n_out, n_in), flat[middle : middle + n_out]))
         start = middle + n_out
@@ -432,7 +433,7 @@ def _same_names(path: str | Path, what: str, expected: Sequence[str] | None, fou
         raise ToolkitError(
             f"{path} has {len(found)} {what} entries, not {len(expected)}; use a file made for this task."
         )
-    i = next(i for i, (a, b) in enumerate(zip(expected, found)) if a != b)
+    i = next(i for i, (a, b) in enumerate(zip(expected, found, strict=True)) if a != b)
     raise ToolkitError(
         f"{path}: {what} entry {i} is {found[i]!r}, not {expected[i]!r}; use a file made for this task."
     )

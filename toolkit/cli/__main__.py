@@ -1,0 +1,5 @@
+"""python -m toolkit.cli is meta-evolve."""
+
+from toolkit.cli import main
+
+main()

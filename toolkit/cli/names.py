@@ -1,0 +1,66 @@
+"""Names become records: the only lookups of robots and tasks."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from robots.robot import Robot
+    from tasks.pick import PickTask
+    from toolkit.learning.policy import GaussianPolicy
+    from toolkit.pipeline import Lab
+
+Kind = Literal["steiner", "geometric-median", "independent"]
+Metric = Literal["l1", "l2"]
+TARGETS = ("jaco", "kinova3", "iiwa")
+TASK = "061_foam_brick"
+
+
+def find_robot(name: str) -> "Robot":
+    """The card of a system, or a sentence listing those that exist."""
+    from robots import ROBOTS
+
+    if name not in ROBOTS:
+        raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(ROBOTS)}")
+    return ROBOTS[name]
+
+
+def find_task(name: str) -> "PickTask":
+    """A task, or a sentence listing those that exist."""
+    from tasks import TASKS
+
+    if name not in TASKS:
+        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(TASKS)}")
+    return TASKS[name]
+
+
+def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":
+    """Source, targets and task by their names, merged on first use."""
+    systems = [find_robot(name) for name in (source, *targets)]
+    from toolkit.pipeline import Lab
+
+    return Lab(systems[0], systems[1:], find_task(task))
+
+
+def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]]:
+    """Config of a run folder or bundle, and its policies by target."""
+    from tasks.pick import ACTION, OBSERVATION
+    from toolkit.expert import entry_names
+    from toolkit.learning.policy import GaussianPolicy
+    from toolkit.runs import Run
+
+    content = Run.open(folder).config
+    missing = [key for key in ("source", "targets", "task") if key not in content]
+    if missing:
+        raise ToolkitError(f"{folder / 'config.json'} has no {missing[0]!r}, so it is no transfer's run folder")
+    found = {}
+    for name in content["targets"] if target is None else [target]:
+        if name not in content["targets"]:
+            raise ToolkitError(f"target {name!r} is not in {folder}; it has: {', '.join(content['targets'])}")
+        file = folder / f"{name}.policy.safetensors"
+        if not file.is_file():
+            raise ToolkitError(f"{folder} has no policy for {name!r} yet; finish it with: meta-evolve transfer --run {folder} --resume")
+        found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+    return content, found

@@ -1,0 +1,64 @@
+"""robots, match: the systems known, and what merging them keeps of each."""
+
+from pathlib import Path
+
+from toolkit.cli.names import TARGETS, TASK, make_lab
+from toolkit.cli.terminal import emit, short, table
+
+
+def robots(json: bool = False) -> None:
+    """List the systems that can be source or target.
+
+    Args:
+        json: print one JSON object instead of a table.
+    """
+    from robots import ROBOTS
+    from tasks import TASKS
+
+    rows = [
+        {"name": r.name, "role": "source" if r.source_of_policy else "target", "arm": r.arm,
+         "gripper": r.gripper.robosuite_type, "rate": r.gripper.rate, "preshape": r.gripper.preshape}
+        for r in ROBOTS.values()
+    ]  # fmt: skip
+    if json:
+        emit({"robots": rows, "tasks": list(TASKS)}, True, "")
+    else:
+        table("Systems", list(rows[0]), [list(row.values()) for row in rows])
+        print(f"Tasks: {', '.join(TASKS)}")
+
+
+def match(
+    source: str = "adroit", targets: tuple[str, ...] = TARGETS, theta: bool = False, plot: Path | None = None, json: bool = False
+) -> None:
+    """Merge robots into one kinematic tree and measure what the merge keeps of each.
+
+    Args:
+        source: the robot that the expert was trained on.
+        targets: where the policy should go.
+        theta: list every parameter of the evolution space.
+        plot: draw the merged tree into this file (PNG, PDF or SVG).
+        json: print one JSON object.
+    """
+    lab = make_lab(source, targets, TASK)
+    from toolkit.morphology.parity import parity, plot_merged_tree
+
+    figures = [parity(lab.merged, robot) for robot in (lab.source, *lab.targets)]
+    if plot is not None:
+        plot_merged_tree(lab.space.matching, plot)
+    content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters), "robots": figures}
+    if json:
+        emit(content | ({"theta": lab.space.describe()} if theta else {}), True, "")
+        return
+    print(f"Evolution space: D = {lab.space.size} dimensions move {len(lab.space.parameters)} parameters.")
+    table("Merged robot against the robosuite robot", list(figures[0]), [[short(v) for v in f.values()] for f in figures])
+    slots = lab.space.matching.slots
+    rows = [
+        [slot.name, slots[slot.parent].name if slot.parent >= 0 else "world",
+         *("yes" if s.present(i) else "-" for s in lab.space.matching.systems)]
+        for i, slot in enumerate(slots)
+    ]  # fmt: skip
+    table("Matched joints", ["joint", "parent", *lab.space.matching.names], rows)
+    if theta:
+        table("theta", ["parameter", "unit", "dimension", *lab.space.matching.names],
+               [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())]
+                for p in lab.space.describe()])  # fmt: skip

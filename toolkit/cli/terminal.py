@@ -1,0 +1,98 @@
+"""What a command prints: JSON or text, tables, progress."""
+
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+
+def emit(content: Any, as_json: bool, text: str) -> None:
+    """Print one JSON value, or the text for people."""
+    print(json.dumps(content) if as_json else text)
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Print a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(str(value) for value in row))
+    Console().print(table)
+
+
+def short(value: Any) -> str:
+    """Three digits of a float, anything else as it is."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+class Progress:
+    """A live line on the terminal with rate and time left; a plain line now and then where there is no terminal."""
+
+    def __init__(self, title: str, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        self.console = Console(stderr=True)
+        self.live = self.console.is_terminal and not quiet
+        self.quiet = quiet
+        self._last = 0.0
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[detail]}"), TimeElapsedColumn(),
+                   TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+        self.bar = Progress(*columns, console=self.console, disable=not self.live)
+        self._task = self.bar.add_task(title, total=None, detail="")
+
+    def __enter__(self) -> "Progress":
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def show(self, title: str, detail: str, done: float | None = None, total: float | None = None, now: bool = False) -> None:
+        """Update the line; without a terminal print at most every ten seconds, or ``now``."""
+        import time
+
+        self.bar.update(self._task, description=title, detail=detail, completed=done or 0, total=total)
+        if not self.live and not self.quiet and (now or time.monotonic() - self._last > 10.0):
+            self._last = time.monotonic()
+            print(f"{title}: {detail}", file=sys.stderr, flush=True)
+
+    def count(self, title: str, total: int) -> Any:
+        """A callback (done, successes) for evaluations."""
+        return lambda done, successes: self.show(title, f"{successes} of {done} succeed", done, total, now=done == total)
+
+    def expert(self, config: Any) -> Any:
+        """A callback for train_expert."""
+
+        def seen(record: dict[str, Any]) -> None:
+            if record["event"] == "demonstrations":
+                self.show("demonstrations", f"{record['kept']} of {record['played']} kept", now=True)
+            elif record["event"] == "cloning":
+                self.show("cloning", f"loss {record['loss']:.4f}", record["epoch"], config.cloning.epochs)
+            else:
+                self.show("updates", f"success {record['success']:.0%}", record["update"] + 1, config.updates)
+
+        return seen
+
+    def transfer(self, config: Any) -> Any:
+        """A callback for Transfer: path, distance to the meta robot, success, episodes per second, budget left."""
+        state = {"distance": float("nan"), "success": float("nan"), "rate": float("nan")}
+
+        def seen(record: dict[str, Any]) -> None:
+            if record["event"] == "evaluating":
+                detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
+                self.show(f"evaluating {record['target']}", detail, now=True)
+                return
+            state["distance"] = record.get("distance", state["distance"])
+            state["success"] = record.get("success", record.get("train_success", state["success"]))
+            state["rate"] = record.get("episodes_per_s", state["rate"])
+            detail = (f"{record['event']}, distance {state['distance']:.2f}, success {state['success']:.0%}, "
+                      f"{record['sim_epochs']} training episodes, {state['rate']:.1f}/s")  # fmt: skip
+            self.show(f"{record['path']} {record['stage']}", detail, record["sim_epochs"], config.path_budget,
+                      now=record["event"] in ("moved", "split", "arrived", "budget"))  # fmt: skip
+
+        return seen
