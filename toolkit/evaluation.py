@@ -17,6 +17,7 @@ from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
 from toolkit.bundle import Bundle, load_bundle
+from toolkit.evolution import EvolutionTree
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
 from toolkit.quiet import silence_robosuite
@@ -69,6 +70,46 @@ def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, 
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
     played = engine.play(lambda observation, rng: policy.mean(observation), [beta] * episodes, seeds)
     return Evaluation(target, "merged", episodes, sum(e.success for e in played), sum(e.diverged for e in played), seeds[0])
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Success of one policy, untrained for it, on a robot of an edge of the evolution tree.
+
+    Attributes:
+        start, end: names of the edge's nodes.
+        share: of the edge that lies behind, 0 to 1.
+        episodes, successes, diverged: counts.
+    """
+
+    start: str
+    end: str
+    share: float
+    episodes: int
+    successes: int
+    diverged: int
+
+
+def walk(
+    policy: GaussianPolicy, engine: RolloutEngine, tree: EvolutionTree, steps: int, episodes: int
+) -> Iterator[Waypoint]:
+    """Walk every edge of a tree with a policy that is not trained on the way: where does it break?
+
+    Args:
+        policy: plays its mean action.
+        engine: of the merged robot in which the tree lies.
+        tree: whose edges to walk.
+        steps: parts of each edge; its ends are measured too.
+        episodes: per robot, on evaluation's seeds.
+    """
+    seeds = [EVALUATION_SEEDS + i for i in range(episodes)]
+    for edge in tree.edges:
+        start, end = tree.nodes[edge.start], tree.nodes[edge.end]
+        for share in np.linspace(0.0, 1.0, steps + 1):
+            alpha = start.alpha + share * (end.alpha - start.alpha)
+            played = engine.play(lambda observation, rng: policy.mean(observation), [alpha] * episodes, seeds)
+            yield Waypoint(start.name, end.name, float(share), episodes, sum(e.success for e in played),
+                           sum(e.diverged for e in played))  # fmt: skip
 
 
 class NativeRobot:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import tyro
 
+from toolkit.cli.benchmarks import bench
 from toolkit.cli.deployment import export
 from toolkit.cli.inspection import doctor, view
 from toolkit.cli.judging import evaluate, verify
@@ -17,6 +18,7 @@ from toolkit.quiet import silence_robosuite
 app = tyro.extras.SubcommandApp()
 for command in (robots, match, tree, expert, transfer, evaluate, view, export, verify, doctor):
     app.command(command)
+app.command(bench, name="bench", help="Measure the toolkit itself.")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,0 +1,71 @@
+"""Results: every number of the page comes from the run folders, and an unfinished suite says so."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from toolkit.errors import ToolkitError
+from toolkit.results import PAPER, read_result, write_results
+from toolkit.runs import Run
+
+
+def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_foam_brick"):
+    """A run folder as a transfer leaves it, with two paths to the targets left and right."""
+    run = Run.create(folder / name, {"targets": ["left", "right"], "transfer": {"threshold": 0.66}})
+    evaluation = {"episodes": 200, "successes": successes, "success_rate": successes / 200, "ci95": [0.5, 0.97]}
+    paths = {"path 1": epochs, "path 2": 7}
+    for path in paths:
+        run.append_metrics({"event": "check", "path": path, "success": 0.75, "sim_epochs": 12, "check_episodes": 16})
+    run.write_json("tree", {"length": 3.0})
+    run.write_json("report", {
+        "targets": {t: {"native": evaluation, "merged": evaluation | {"successes": 199}} for t in ("left", "right")},
+        "train_iterations": {path: 3 for path in paths}, "sim_epochs": paths, "check_episodes": {path: 16 for path in paths},
+        "routes": {"path 1": ["hand", "left"], "path 2": ["hand", "right"]},
+        "totals": {"train_iterations": 6, "sim_epochs": epochs + 7, "check_episodes": 32, "diverged": 0},
+        "wall_s": 90.0, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "task": task,
+    })  # fmt: skip
+    return run.path
+
+
+def test_every_count_of_the_runs_is_on_the_page(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    finished(suite, "tree-0", 0, 1001, 187)
+    finished(suite, "tree-1", 1, 2002, 163)
+    finished(suite, "alone-0", 0, 4111, 151, kind="independent")
+    page = write_results(suite, "A suite", "make results")
+    text = page.read_text()
+    for count in (187, 163, 151, 199):
+        assert f"{count} of 200" in text
+    mean, deviation = np.mean([1008, 2009]), np.std([1008, 2009], ddof=1)
+    row = rf"\| tree, L1, adaptive step, to left, right \| 061_foam_brick \| 2 \| .*\| {mean:.0f} ± {deviation:.0f} \|"
+    assert re.search(row, text), text
+    assert "| alone-0 | path 1: hand to left | 3 | 4111 | 16 |" in text
+    assert "make results" in text and str(PAPER["HERD, independent"]["sim_epochs"][0]) in text
+    for picture in re.findall(r"\((suite/\w+\.png)\)", text):
+        assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_without_a_report_is_left_out(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    Run.create(suite / "begun", {"targets": ["left"]})
+    assert read_result(suite / "begun") is None
+    with pytest.raises(ToolkitError, match="no finished run.*make results"):
+        write_results(suite, "A suite", "make results")
+
+
+def test_a_damaged_report_is_named(tmp_path):
+    path = finished(tmp_path, "tree-0", 0, 1, 1)
+    (path / "report.json").write_text('{"targets": ')
+    with pytest.raises(ToolkitError, match=r"report\.json is missing or damaged"):
+        read_result(path)
+
+
+def test_the_papers_numbers_give_the_papers_ratios():
+    herd, ours = PAPER.values()
+    assert round(herd["train_iterations"][0] / ours["train_iterations"][0], 2) == 1.91
+    assert round(herd["sim_epochs"][0] / ours["sim_epochs"][0], 2) == 2.07
+    assert json.dumps(PAPER)

@@ -1,0 +1,266 @@
+"""Results: tables and pictures of a suite of transfer runs, from their run folders alone.
+
+    read_result    one run folder -> Result
+    write_results  all runs of a suite -> one Markdown page and its pictures
+
+No number is typed: all come from report.json, tree.json and metrics.jsonl, but for the paper's own, which are cited.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toolkit.errors import ToolkitError
+from toolkit.evaluation import Waypoint
+from toolkit.runs import Run
+
+PAPER = {
+    "HERD, independent": {"train_iterations": (38437, 2883), "sim_epochs": (185825, 16731)},
+    "Meta-Evolve, 1-Steiner tree": {"train_iterations": (20081, 4509), "sim_epochs": (89924, 7962)},
+}
+"""Mean and standard deviation over five seeds: the paper's table "One-to-three policy transfer experiment results on
+DexYCB manipulation task" (Liu et al. 2024, appendix on real commercial robots; targets Jaco, Kinova3, IIWA)."""
+COSTS = ("train_iterations", "sim_epochs", "check_episodes")
+
+
+@dataclass(frozen=True)
+class Result:
+    """One finished run.
+
+    Attributes:
+        name: of its folder.
+        config, report, tree: config.json, report.json, tree.json.
+        metrics: records of metrics.jsonl, oldest first.
+        commit: of the toolkit that played it, "unknown" if it was not a checkout.
+    """
+
+    name: str
+    config: dict[str, Any]
+    report: dict[str, Any]
+    tree: dict[str, Any]
+    metrics: list[dict[str, Any]]
+    commit: str
+
+    @property
+    def method(self) -> str:
+        """What distinguishes this run from others but for its seed: tree, metric, step, preset's schedule and targets."""
+        report = self.report
+        kind = {"steiner": "tree", "geometric-median": "one meta robot"}.get(report["kind"], report["kind"])
+        metric = "" if report["kind"] in ("independent", "direct") else f", {report['metric'].upper()}"
+        return f"{kind}{metric}, {report['step']} step"
+
+
+def read_result(folder: Path) -> Result | None:
+    """The run in a folder, None while it has no report.
+
+    Raises:
+        ToolkitError: the folder is no run, or one of its files is broken.
+    """
+    if not (folder / "report.json").is_file():
+        return None
+    run = Run.open(folder)
+    content = {}
+    for name in ("report", "tree"):
+        file = folder / f"{name}.json"
+        try:
+            content[name] = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ToolkitError(f"{file} is missing or damaged ({error}); finish the run again with --resume") from None
+    git = folder / "git.json"
+    commit = (json.loads(git.read_text()) or {}).get("commit", "unknown") if git.is_file() else "unknown"
+    return Result(folder.name, run.config, content["report"], content["tree"], run.read_metrics(), commit)
+
+
+def write_results(folder: Path, title: str, command: str) -> Path:
+    """Write `<folder>.md` and the pictures in ``folder`` from the run folders in it.
+
+    Args:
+        folder: of the suite; each run is a folder in it.
+        title: heading of the page.
+        command: that plays the suite and writes this page.
+
+    Returns:
+        the page.
+
+    Raises:
+        ToolkitError: no run in the folder has finished.
+    """
+    runs = [result for path in sorted(folder.iterdir()) if path.is_dir() and (result := read_result(path))]
+    if not runs:
+        raise ToolkitError(f"{folder} holds no finished run; play the suite with: {command}")
+    plot_success(runs, folder / "success.png")
+    plot_curves(runs, folder / "curves.png")
+    plot_cost(runs, folder / "cost.png")
+    page = folder.with_suffix(".md")
+    lines = [
+        f"# {title}", "",
+        f"Made by `{command}` from the run folders in [{folder.name}/]({folder.name}/); none of these numbers is typed by hand.", "",
+        "## Success", "", *success_table(runs), "", f"![Success per target]({folder.name}/success.png)", "",
+        "Unmodified robosuite robot: robosuite's own environment and step, on seeds that training never saw. "
+        "F(beta): the merged robot at the target's parameters. In brackets: 95 % interval (Wilson).", "",
+        "## Cost", "", *cost_table(runs), "", f"![Cost per method]({folder.name}/cost.png)", "",
+        "Counted as in the paper: a training iteration is one policy update, a simulation epoch one training episode. Checking "
+        "episodes only measured success; the paper does not list its own. Wall time is that of the whole transfer without the final "
+        "evaluation, on the machine as loaded as it was.", "",
+        "## Per path", "", *path_table(runs), "",
+        "## On the way", "", f"![Success measured on the way]({folder.name}/curves.png)", "",
+        "Each point is one measurement of the mean action's success on the next robot of the path; a point below the line means that "
+        "the step was halved, or that training began there.", "",
+    ]  # fmt: skip
+    page.write_text("\n".join(lines), encoding="utf-8")
+    return page
+
+
+# ---- tables ----------------------------------------------------------------------------------------------------------
+
+
+def success_table(runs: Sequence[Result]) -> list[str]:
+    """Markdown rows: successes of every run on each target."""
+    targets = _targets(runs)
+    lines = ["| run | task | " + " | ".join(f"{t}, unmodified | {t}, F(beta)" for t in targets) + " |",
+             "|---|---|" + "---|---|" * len(targets)]  # fmt: skip
+    for run in runs:
+        cells = []
+        for target in targets:
+            both = run.report["targets"].get(target, {})
+            cells += [_rate(both.get("native")), _rate(both.get("merged"))]
+        lines.append(f"| {run.name} | {run.report['task']} | {' | '.join(cells)} |")
+    return lines
+
+
+def cost_table(runs: Sequence[Result]) -> list[str]:
+    """Markdown rows: cost per method and task, mean and standard deviation over seeds, beside the paper's."""
+    lines = ["| method | task | seeds | training iterations | simulation epochs | checking episodes | wall time [min] |",
+             "|---|---|---|---|---|---|---|"]  # fmt: skip
+    for (method, task, targets), group in _groups(runs).items():
+        cells = [_spread([run.report["totals"][key] for run in group]) for key in COSTS]
+        wall = _spread([run.report["wall_s"] / 60 for run in group], digits=1)
+        lines.append(f"| {method}, to {targets} | {task} | {len(group)} | {' | '.join(cells)} | {wall} |")
+    for method, numbers in PAPER.items():
+        cells = [f"{mean} ± {deviation}" for mean, deviation in numbers.values()]
+        lines.append(f"| paper: {method} | DexYCB | 5 | {' | '.join(cells)} | not given | not given |")
+    return lines
+
+
+def path_table(runs: Sequence[Result]) -> list[str]:
+    """Markdown rows: cost of every path of every run."""
+    lines = ["| run | path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|---|"]
+    for run in runs:
+        for path, route in run.report["routes"].items():
+            cells = " | ".join(str(run.report[key][path]) for key in COSTS)
+            lines.append(f"| {run.name} | {path}: {' to '.join(route)} | {cells} |")
+    return lines
+
+
+def _targets(runs: Iterable[Result]) -> list[str]:
+    return list(dict.fromkeys(target for run in runs for target in run.config["targets"]))
+
+
+def _groups(runs: Sequence[Result]) -> dict[tuple[str, str, str], list[Result]]:
+    groups: dict[tuple[str, str, str], list[Result]] = {}
+    for run in runs:
+        groups.setdefault((run.method, run.report["task"], ", ".join(run.config["targets"])), []).append(run)
+    return groups
+
+
+def _rate(evaluation: dict[str, Any] | None) -> str:
+    if evaluation is None:
+        return "-"
+    low, high = evaluation["ci95"]
+    return f"{evaluation['successes']} of {evaluation['episodes']} ({low:.2f} to {high:.2f})"
+
+
+def _spread(values: Sequence[float], digits: int = 0) -> str:
+    mean = f"{np.mean(values):.{digits}f}"
+    return f"{mean} ± {np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else mean
+
+
+# ---- pictures --------------------------------------------------------------------------------------------------------
+
+_HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
+
+
+def plot_success(runs: Sequence[Result], file: Path) -> None:
+    """Bars with 95 % intervals: success of each run on the unmodified robot of each target."""
+    plt = _pyplot()
+    targets = _targets(runs)
+    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    width = 0.8 / len(runs)
+    for i, run in enumerate(runs):
+        found = [(k, run.report["targets"][t]["native"]) for k, t in enumerate(targets) if t in run.report["targets"]]
+        rates = np.array([e["success_rate"] for _, e in found])
+        bounds = np.array([e["ci95"] for _, e in found]).reshape(-1, 2).T
+        axes.bar([k + (i - (len(runs) - 1) / 2) * width for k, _ in found], rates, 0.9 * width, label=run.name,
+                 yerr=np.abs(bounds - rates), capsize=2, hatch=_HATCHES[i % len(_HATCHES)], edgecolor="black", linewidth=0.5)  # fmt: skip
+    axes.axhline(0.8, color="black", linestyle=":", linewidth=1)
+    axes.set(ylim=(0, 1.05), ylabel="success, unmodified robot", xticks=range(len(targets)), xticklabels=targets)
+    axes.legend(fontsize=7, ncols=2, loc="lower right")
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+
+
+def plot_cost(runs: Sequence[Result], file: Path) -> None:
+    """Stacked bars: training and checking episodes of every run, one segment per path."""
+    plt = _pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(9, 0.4 * len(runs) + 1.4), layout="constrained", sharey=True)
+    for panel, key, label in ((axes[0], "sim_epochs", "simulation epochs"), (axes[1], "check_episodes", "checking episodes")):
+        for i, run in enumerate(runs):
+            left = 0
+            for k, count in enumerate(run.report[key].values()):
+                panel.barh(i, count, left=left, color=f"C{k}", edgecolor="black", linewidth=0.5, hatch=_HATCHES[k % len(_HATCHES)])
+                left += count
+        panel.set(xlabel=f"{label}, by path", yticks=range(len(runs)), yticklabels=[run.name for run in runs])
+    axes[0].invert_yaxis()
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+
+
+def plot_curves(runs: Sequence[Result], file: Path) -> None:
+    """Success measured on the way against episodes played on the path, a panel per run and a curve per path."""
+    plt = _pyplot()
+    columns = min(3, len(runs))
+    rows = -(-len(runs) // columns)
+    figure, panels = plt.subplots(rows, columns, figsize=(3.2 * columns, 2.4 * rows), squeeze=False, sharey=True, layout="constrained")
+    for panel in panels.flat[len(runs) :]:
+        panel.axis("off")
+    for run, panel in zip(runs, panels.flat, strict=False):
+        for k, path in enumerate(run.report["routes"]):
+            checks = [r for r in run.metrics if r["event"] == "check" and r["path"] == path]
+            played = [r["sim_epochs"] + r["check_episodes"] for r in checks]
+            panel.plot(played, [r["success"] for r in checks], marker="osv^D*"[k % 6], markersize=3, linewidth=0.8, label=path)
+        panel.axhline(run.config["transfer"]["threshold"], color="black", linestyle=":", linewidth=0.8)
+        panel.set_title(run.name, fontsize=8)
+        panel.set(xlabel="episodes on the path", ylim=(-0.03, 1.03))
+        panel.legend(fontsize=6)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("success")
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+
+
+def plot_walk(waypoints: Sequence[Waypoint], file: Path) -> None:
+    """Success of an untrained policy along every edge of a tree, a panel per edge."""
+    plt = _pyplot()
+    edges = list(dict.fromkeys((w.start, w.end) for w in waypoints))
+    figure, panels = plt.subplots(1, len(edges), figsize=(2.2 * len(edges), 2.2), squeeze=False, sharey=True, layout="constrained")
+    for (start, end), panel in zip(edges, panels.flat, strict=True):
+        along = [w for w in waypoints if (w.start, w.end) == (start, end)]
+        panel.plot([w.share for w in along], [w.successes / w.episodes for w in along], color="black", marker="o", markersize=3)
+        panel.set_title(f"{start} to {end}", fontsize=8)
+        panel.set(xlabel="share of the edge", ylim=(-0.03, 1.03))
+    panels[0, 0].set_ylabel("success")
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+
+
+def _pyplot() -> Any:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
