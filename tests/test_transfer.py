@@ -271,6 +271,83 @@ def test_every_kind_of_tree_is_followed_to_its_ends(tmp_path, kind, metric):
         assert transfer.costs["path 1"].sim_epochs == 0, "independent paths share no way"
 
 
+def test_direct_trains_on_the_targets_alone(tmp_path):
+    """No robot between source and target is ever played; what is out of the expert's reach is not learned from nothing."""
+    near, far = Terminal("near", np.array([0.1, 0.0, 0.0])), TARGETS[0]
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(kind="direct", path_budget=120), toy, targets=[near, far])
+    arrived = transfer.meta_evolve()
+    played = np.unique(np.concatenate([call["alphas"] for call in toy.calls]), axis=0)
+    np.testing.assert_array_equal(played, np.unique([near.alpha, far.alpha], axis=0))
+    assert error_at(arrived["near"], near.alpha) < TOLERANCE
+    spent = {transfer.routes[path][-1]: cost.sim_epochs for path, cost in transfer.costs.items()}
+    assert spent["left"] == 120 and {r["path"] for r in records(transfer, "budget")} == {"path 3"}, spent
+    assert transfer.costs["path 1"] == type(transfer.costs["path 1"])(), "the shared path of a star costs nothing"
+
+
+# -- the optimised path --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def steered(tmp_path_factory):
+    """(transfer, toy) after a whole run on optimised paths."""
+    toy = Toy()
+    settings = config(path="optimised", step="fixed", jacobian_episodes=8)
+    transfer = transfer_of(tmp_path_factory.mktemp("steered") / "run", settings, toy)
+    transfer.meta_evolve()
+    return transfer, toy
+
+
+def test_an_optimised_path_reaches_every_target(steered):
+    transfer, _ = steered
+    errors = {t.name: error_at(transfer.arrived[t.name], t.alpha) for t in TARGETS}
+    assert max(errors.values()) < TOLERANCE and not records(transfer, "budget"), errors
+
+
+def test_an_optimised_path_counts_its_jacobians_as_simulation_epochs(steered):
+    transfer, toy = steered
+    spent = 8 * len(records(transfer, "steered")) + NPG.batch_size * len(records(transfer, "update"))
+    assert sum(cost.sim_epochs for cost in transfer.costs.values()) == spent
+    assert spent == sum(len(call["seeds"]) for call in toy.of(training=True))
+    sampled = [call for call in toy.of(training=True) if len(call["seeds"]) == 8]
+    assert len(sampled) == len(records(transfer, "steered")) > 10
+    for call in sampled:
+        away = np.linalg.norm(call["alphas"] - call["alpha"], axis=1)
+        assert (away <= transfer.config.xi + 1e-12).all(), "a robot was sampled farther than a step away"
+        assert call["seeds"][0::2] == call["seeds"][1::2], "a pair plays one seed"
+
+
+def test_steps_of_an_optimised_path_are_no_longer_than_xi_and_come_nearer(steered):
+    transfer, _ = steered
+    for path in transfer.costs:
+        moves = [r for r in records(transfer, "moved") if r["path"] == path]
+        assert all(r["stride"] <= transfer.config.xi + 1e-9 for r in moves)
+        distances = [r["distance"] for r in moves]
+        assert all(b < a for a, b in zip(distances, distances[1:], strict=False) if a > 2 * transfer.config.xi), path
+    bent = [r["straight_share"] for r in records(transfer, "steered")]
+    assert min(bent) < 0.999, "no step ever left the straight line"
+    assert min(bent) >= 0.6 - 1e-9, "a step was bent farther than the estimate is trusted"
+
+
+@pytest.mark.parametrize("step, event", [("fixed", "steered"), ("fixed", "moved"), ("adaptive", "steered")])
+def test_an_optimised_path_killed_and_resumed_is_the_same_run(tmp_path, step, event):
+    settings = config(path="optimised", step=step, jacobian_episodes=6, xi=0.12)
+    whole = transfer_of(tmp_path / "whole", settings, Toy())
+    whole.meta_evolve()
+    seen = []
+
+    def kill(record, branch):
+        seen.append(record["event"])
+        if seen.count(event) == 3:
+            raise Killed
+
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", settings, Toy(), report=kill).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", settings, Toy(), resume=True)
+    resumed.meta_evolve()
+    assert_same_end(resumed, whole)
+
+
 # -- steps ---------------------------------------------------------------------------------------------------
 
 
@@ -572,7 +649,7 @@ def test_shares_and_lengths_are_checked(field, value):
 @pytest.mark.parametrize(
     "field, value",
     [("check_episodes", 0), ("goal_episodes", 0), ("check_every", 0), ("path_budget", -1), ("step", "leap"), ("seed", -1),
-     ("kind", "star"), ("metric", "l3")],
+     ("kind", "star"), ("metric", "l3"), ("path", "bent"), ("pull", 0.0), ("pull", math.nan), ("jacobian_episodes", 1)],
 )  # fmt: skip
 def test_the_rest_is_checked_in_the_constructor_too(field, value):
     with pytest.raises(ToolkitError, match=field):

@@ -21,7 +21,7 @@ from toolkit.morphology.space import EvolutionSpace
 from toolkit.recording import Recording
 from toolkit.runs import Run
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
-from toolkit.transfer import Branch, Transfer, TransferConfig
+from toolkit.transfer import Branch, Method, Transfer, TransferConfig
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget and larger natural-gradient steps: the whole way in minutes, reported as it is.
@@ -71,8 +71,10 @@ class Job:
         }  # fmt: skip
 
 
-def transfer_config(preset: str, kind: Kind, metric: Metric, seed: int, step: str | None) -> TransferConfig:
-    """The schedule of a preset; ``step`` overrides the preset's.
+def transfer_config(
+    preset: str, kind: Method, metric: Metric, seed: int, step: str | None = None, path: str | None = None
+) -> TransferConfig:
+    """The schedule of a preset; ``step`` and ``path`` override the preset's.
 
     Raises:
         ToolkitError: an unknown preset.
@@ -81,8 +83,7 @@ def transfer_config(preset: str, kind: Kind, metric: Metric, seed: int, step: st
         raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
     overrides = PRESETS[preset]
     values = overrides["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
-    if step is not None:
-        values["step"] = step
+    values |= {name: value for name, value in (("step", step), ("path", path)) if value is not None}
     return TransferConfig(npg=NpgConfig(**overrides["npg"]), **values)
 
 
@@ -131,7 +132,7 @@ class Pipeline:
         self.job, self.watch = job, watch
         self.lab = Lab(job.source, job.targets, job.task)
         self.engine = RolloutEngine(self.lab.merged)
-        self.tree = self.lab.tree(job.transfer.metric, job.transfer.kind)
+        self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         self.recording = Recording(folder / "recording.rrd")
         self._clock, self._iteration = 0.0, 0
         source, targets = self.lab.terminals()
@@ -226,6 +227,7 @@ class Pipeline:
             "kind": self.job.transfer.kind,
             "metric": self.job.transfer.metric,
             "step": self.job.transfer.step,
+            "path": self.job.transfer.path,
             "source": self.job.source.name,
             "task": self.job.task.name,
         }

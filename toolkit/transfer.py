@@ -2,6 +2,7 @@
 
     meta_evolve     Algorithm 1: the loop over phases, the split at meta robots, the recursion as a list of branches
     evolve          lines 4 and 5: choose the next robot on the way, train until the policy holds on it, go there
+    steer           line 4: which way, straight to the meta robot or where the policy also earns more
     settle          the last hop: from F(beta) to the unmodified robosuite robot
 
 The state between two updates is everything: it is written to one checkpoint, and a killed run continues from it to the
@@ -22,6 +23,11 @@ from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs import Run, generator_from_state, generator_state
+from toolkit.steering import heading, jacobian, sample_robots
+
+Method = Kind | Literal["direct"]
+METHODS: tuple[Method, ...] = (*KINDS, "direct")
+PATHS = ("straight", "optimised")
 
 TRAINING_SEEDS = 10**6
 """Training episodes take their seeds below this number."""
@@ -33,8 +39,9 @@ CHECKING_SEEDS = 2 * 10**6
 class TransferConfig:
     """What determines a transfer; "paper" marks values of its hyperparameter table."""
 
-    kind: Kind = "steiner"
-    """Evolution tree: "steiner", "geometric-median" (one meta robot) or "independent" (one path per target)."""
+    kind: Method = "steiner"
+    """Evolution tree: "steiner", "geometric-median" (one meta robot) or "independent" (one path per target: HERD, REvolveR).
+    "direct" has no evolution: the expert is trained on every target itself from the start."""
     metric: Metric = "l1"
     """Distance between robots."""
     seed: int = 0
@@ -43,6 +50,12 @@ class TransferConfig:
     """"fixed": steps of length xi (paper). "adaptive": the farthest robot on which the policy still holds."""
     xi: float = 0.03
     """Evolution step, L2 (paper); adaptive: the shortest step tried."""
+    path: Literal["straight", "optimised"] = "straight"
+    """"straight": to the meta robot (REvolveR). "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
+    pull: float = 1.0
+    """Weight lambda of the meta robot in the direction of an optimised path (paper)."""
+    jacobian_episodes: int = 72
+    """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
     threshold: float = 2 / 3
     """Success rate for moving on (paper: 66.7 %)."""
     goal: float = 0.85
@@ -67,12 +80,20 @@ class TransferConfig:
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
-        for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0)):
+        if not 0 < self.pull < math.inf:
+            raise ToolkitError(f"transfer's pull is {self.pull}; give a positive number")
+        for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0),
+                          ("jacobian_episodes", 2)):  # fmt: skip
             if getattr(self, name) < low:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
-        for name, known in (("step", ("fixed", "adaptive")), ("kind", KINDS), ("metric", METRICS)):
+        for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("kind", METHODS), ("metric", METRICS)):
             if getattr(self, name) not in known:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)!r}; there are: {', '.join(known)}")
+
+    @property
+    def tree_kind(self) -> Kind:
+        """The evolution tree that the method follows; without evolution the targets share nothing."""
+        return "independent" if self.kind == "direct" else self.kind
 
 
 Outcome = Literal["held", "spent", "training"]
@@ -190,7 +211,7 @@ class Transfer:
     def evolution_tree(self, branch: Branch) -> MetaStep:
         """Algorithm 2 from the current robot."""
         targets = [Terminal(name, self.goals[name]) for name in branch.targets]
-        return next_meta_robot(Terminal("current", branch.alpha), targets, self.config.metric, self.config.kind)
+        return next_meta_robot(Terminal("current", branch.alpha), targets, self.config.metric, self.config.tree_kind)
 
     def at(self, branch: Branch, step: MetaStep) -> bool:
         """Whether the branch stands at its meta robot (the loop's condition)."""
@@ -243,9 +264,12 @@ class Transfer:
 
         A path whose budget is spent leaps to its end, where what it has reached is measured.
         """
-        if self.costs[branch.path].sim_epochs >= self.config.path_budget:
-            self.say("budget", branch, reach=float(np.linalg.norm(step.meta_alpha - branch.alpha)))
-            self.move(branch, step.meta_alpha, branch.stride, trained=False)
+        distance = float(np.linalg.norm(step.meta_alpha - branch.alpha))
+        spent = self.costs[branch.path].sim_epochs >= self.config.path_budget
+        if spent and self.config.kind != "direct":
+            self.say("budget", branch, reach=distance)
+        if spent or self.config.kind == "direct":
+            self.move(branch, step.meta_alpha, distance if self.config.kind == "direct" else branch.stride, trained=False)
             return
         if branch.next_alpha is None:
             self.choose_next(branch, step.meta_alpha)
@@ -256,23 +280,50 @@ class Transfer:
             self.move(branch, branch.next_alpha, length, trained=True)
 
     def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
-        """Pick the next robot on the straight line to ``meta`` (D,).
+        """Pick the next robot on the way to ``meta`` (D,).
 
         Fixed steps go xi far. Adaptive steps try twice the last stride and halve it until the policy holds; what holds
-        is taken at once, and where even xi does not hold, training begins there.
+        is taken at once, and where even xi does not hold, training begins there. The way has one direction per choice;
+        an optimised one is estimated only once the meta robot itself is out of reach.
         """
         distance = float(np.linalg.norm(meta - branch.alpha))
         shortest = min(self.config.xi, distance)
         stride = shortest if self.config.step == "fixed" else min(max(2 * branch.stride, shortest), distance)
-        while self.config.step == "adaptive" and stride > shortest:
+        way: np.ndarray | None = None
+        while True:
             # A remainder shorter than xi would cost a phase of its own.
-            candidate = meta if distance - stride < self.config.xi else branch.alpha + (meta - branch.alpha) * (stride / distance)
+            last = stride >= distance - (self.config.xi if self.config.step == "adaptive" and stride > shortest else 1e-12)
+            if not last and way is None:
+                way = self.steer(branch, meta)
+            candidate = meta if last else np.clip(branch.alpha + stride * way, 0.0, 1.0)
+            if self.config.step == "fixed" or stride <= shortest:
+                break
             if self.holds(branch, self.engine, candidate, self.config.threshold, self.config.check_episodes):
                 self.move(branch, candidate, stride, trained=False)
                 return
             stride = max(stride / 2, shortest)
-        branch.next_alpha = meta if distance - stride < 1e-12 else branch.alpha + (meta - branch.alpha) * (stride / distance)
-        branch.window, branch.updates = 1.0, 0
+        branch.next_alpha, branch.window, branch.updates = candidate, 1.0, 0
+
+    def steer(self, branch: Branch, meta: np.ndarray) -> np.ndarray:
+        """Unit vector (D,) of the way on: straight to ``meta``, or bent to where the policy earns more.
+
+        The episodes that this takes train nothing but cost the same, and are counted as simulation epochs.
+        """
+        if self.config.path == "straight":
+            return (meta - branch.alpha) / np.linalg.norm(meta - branch.alpha)
+        robots = sample_robots(branch.alpha, self.config.jacobian_episodes, self.config.xi, self.rng)
+        seeds = np.repeat(self.rng.integers(TRAINING_SEEDS, size=-(-len(robots) // 2)), 2)[: len(robots)]
+        batch = self.engine.play(branch.policy.act, list(robots), [int(seed) for seed in seeds])
+        cost = self.costs[branch.path]
+        cost.sim_epochs += len(batch)
+        cost.diverged += sum(episode.diverged for episode in batch)
+        returns = np.array([episode.discounted_return(self.config.npg.gamma) for episode in batch])
+        slope = jacobian(robots, returns)
+        way = heading(slope, branch.alpha, meta, self.config.pull)
+        straight = (meta - branch.alpha) / np.linalg.norm(meta - branch.alpha)
+        self.say("steered", branch, mean_return=float(returns.mean()), slope=float(np.linalg.norm(slope)),
+                 straight_share=float(way @ straight))  # fmt: skip
+        return way
 
     def move(self, branch: Branch, alpha: np.ndarray, stride: float, trained: bool) -> None:
         """Line 5: the robot evolves."""

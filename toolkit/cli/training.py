@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_robot, find_task, make_lab
+from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit
 
 
@@ -52,9 +52,10 @@ def transfer(
     source: str = "adroit",
     targets: tuple[str, ...] = TARGETS,
     task: str = TASK,
-    kind: Kind = "steiner",
+    kind: Method = "steiner",
     metric: Metric = "l1",
     step: Literal["adaptive", "fixed"] | None = None,
+    path: Literal["straight", "optimised"] = "straight",
     seed: int = 0,
     preset: str = "quick",
     run: Path | None = None,
@@ -70,20 +71,23 @@ def transfer(
         source: the robot that the expert was trained on.
         targets: where the policy should go.
         task: what it does; "<object>-wide" starts within 5 cm and 30 degrees instead of 1 cm.
-        kind: evolution tree: steiner, geometric-median or independent paths.
+        kind: evolution tree: steiner, geometric-median or independent paths; direct trains on the targets without evolution.
         metric: distance between robots.
         step: adaptive (farthest robot on which the policy holds) or fixed (length xi, as in the paper).
+        path: straight to the meta robot (REvolveR), or optimised: also where the expected return grows (HERD), at 72 episodes
+            a step.
         seed: of everything random.
         preset: quick (minutes), full, or paper (every number from the paper's table).
-        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>.
+        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with the path if it is not straight.
         resume: continue the run in that folder.
         json: print the report as one JSON object at the end.
     """
     robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
     from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
-    config = transfer_config(preset, kind, metric, seed, step)
-    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{preset}-{seed}"
+    config = transfer_config(preset, kind, metric, seed, step, path)
+    bent = "" if path == "straight" else f"{path}-"
+    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}"
     job = Job(robot, goals, what, config, PRESETS[preset]["evaluation_episodes"])
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config))

@@ -82,3 +82,7 @@ class Episode:
     def total_reward(self) -> float:
         """Undiscounted sum of rewards; 0 if the simulation diverged."""
         return 0.0 if self.diverged else float(self.rewards.sum())
+
+    def discounted_return(self, gamma: float) -> float:
+        """Sum of gamma^t r_t (the paper's rho); 0 if the simulation diverged."""
+        return 0.0 if self.diverged else float(self.rewards @ gamma ** np.arange(self.steps))
