@@ -75,6 +75,12 @@ def read_result(folder: Path) -> Result | None:
     return Result(folder.name, run.config, content["report"], content["tree"], run.read_metrics(), commit)
 
 
+def finished_runs(folder: Path) -> list[Result]:
+    """All runs of a suite's folder that have finished, by name."""
+    paths = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    return [result for path in paths if (result := read_result(path))]
+
+
 def write_results(folder: Path, title: str, command: str) -> Path:
     """Write `<folder>.md` and the pictures in ``folder`` from the run folders in it.
 
@@ -89,7 +95,7 @@ def write_results(folder: Path, title: str, command: str) -> Path:
     Raises:
         ToolkitError: no run in the folder has finished.
     """
-    runs = [result for path in sorted(folder.iterdir()) if path.is_dir() and (result := read_result(path))]
+    runs = finished_runs(folder)
     if not runs:
         raise ToolkitError(f"{folder} holds no finished run; play the suite with: {command}")
     plot_success(runs, folder / "success.png")

@@ -1,15 +1,105 @@
 """bench: the commands that measure the toolkit itself."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, make_lab
+from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 
+if TYPE_CHECKING:
+    from toolkit.pipeline import Job
+
 bench = tyro.extras.SubcommandApp()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A run of a suite: the options of `meta-evolve transfer` that tell it from the others."""
+
+    kind: Method = "steiner"
+    step: Literal["adaptive", "fixed"] = "adaptive"
+    seed: int = 0
+    task: str = TASK
+    targets: tuple[str, ...] = TARGETS
+
+    def job(self, preset: str) -> "Job":
+        """What `meta-evolve transfer` would play."""
+        from toolkit.pipeline import PRESETS, Job, transfer_config
+
+        config = transfer_config(preset, self.kind, "l1", self.seed, self.step)
+        robots = tuple(find_robot(name) for name in self.targets)
+        return Job(find_robot("adroit"), robots, find_task(self.task), config, PRESETS[preset]["evaluation_episodes"])
+
+
+CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
+SUITES: dict[str, dict[str, Entry]] = {
+    "real-robots": {
+        "tree-0": Entry(),
+        "tree-1": Entry(seed=1),
+        "independent-0": Entry(kind="independent"),
+        "direct-0": Entry(kind="direct"),
+        "wide-tree-0": Entry(task=WIDE),
+        "wide-independent-0": Entry(task=WIDE, kind="independent"),
+        "wide-direct-0": Entry(task=WIDE, kind="direct"),
+        "can-tree-0": Entry(task=CAN, targets=JAWS),
+        "fixed-tree-0": Entry(step="fixed"),
+        "fixed-independent-0": Entry(step="fixed", kind="independent"),
+    }
+}
+"""Suite -> run -> what it plays; the short ones first."""
+
+
+@bench.command(name="transfer")
+def bench_transfer(
+    suite: str = "real-robots",
+    only: tuple[str, ...] = (),
+    preset: str = "full",
+    out: Path = Path("docs/results"),
+    play: bool = True,
+    json: bool = False,
+) -> None:
+    """Play every run of a suite that is not finished yet, then rebuild the page of results from the run folders.
+
+    Ctrl-C leaves runs that the same command continues, also on another machine that has the folder.
+
+    Args:
+        suite: which; real-robots: the tree, independent paths and direct training to three commercial arms.
+        only: names of the runs to play; default: all of the suite.
+        preset: of every run, as in transfer.
+        out: folder of the run folders; the page is <out>.md.
+        play: --no-play only rebuilds the page.
+        json: print one JSON object: the reports of all finished runs.
+    """
+    if suite not in SUITES:
+        raise ToolkitError(f"suite {suite!r} is unknown; there are: {', '.join(SUITES)}")
+    unknown = [name for name in only if name not in SUITES[suite]]
+    if unknown:
+        raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(SUITES[suite])}")
+    if play:
+        _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
+    from toolkit.results import finished_runs, write_results
+
+    command = f"meta-evolve bench transfer --suite {suite}"
+    page = write_results(out, "Results on unmodified robosuite robots", command)
+    emit({run.name: run.report for run in finished_runs(out)}, json, f"{page}: the table and its pictures")
+
+
+def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> None:
+    from toolkit.expert import load_expert
+    from toolkit.pipeline import Pipeline
+
+    for job in jobs.values():  # say what is missing before hours are spent
+        load_expert(job.source.name, job.task.name)
+    for name, job in jobs.items():
+        folder = out / name
+        if (folder / "report.json").is_file():
+            continue
+        with Progress(name, quiet) as progress:
+            Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
 
 
 @bench.command(name="walk")
