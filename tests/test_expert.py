@@ -8,8 +8,9 @@ import pytest
 
 from robots import ROBOTS
 from tasks import TASKS
+from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
-from toolkit.demonstrations import PickScript, entry
+from toolkit.demonstrations import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
 from toolkit.expert import (
@@ -221,3 +222,11 @@ def test_a_shipped_expert_succeeds_on_the_merged_source(engine, card):
     policy, _ = load_expert(*pair(card))
     result = evaluate_merged(policy, engine, SOURCE, 8, seed=77)
     assert result.successes >= 7, f"{result.successes} of 8 unseen seeds on F(beta_0)"
+
+
+def test_a_tall_object_is_grasped_below_its_top_not_at_its_centre():
+    """At the can's centre the palm would rest on its top and the fingers would never close."""
+    for item in OBJECTS.values():
+        grasped = item.half_height + pick_script(item).object_from_grasp[2]
+        assert grasped <= FINGER_DEPTH + 1e-12, f"{item.name} is grasped {grasped:.4f} m below its top"
+    assert pick_script(OBJECTS["061_foam_brick"]).object_from_grasp[2] == 0.0

@@ -4,7 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.objects import PickObject
 from tasks.pick import ACTION_SIZE, OBSERVATION
+
+FINGER_DEPTH = 0.0255
+"""How far [m] below its top an object is grasped at most: deeper, ADROIT's palm touches a tall object before the fingers close."""
 
 _ENTRY = {}
 _offset = 0
@@ -56,3 +60,8 @@ class PickScript:
         action[3:6] = np.clip(-2.0 * entry(observation, "grasp_rotation"), -1.0, 1.0)
         action[6:] = 1.0 if near or progress > self.started else -1.0
         return action
+
+
+def pick_script(item: PickObject) -> PickScript:
+    """The script for an object: grasped at its centre, a tall one FINGER_DEPTH below its top."""
+    return PickScript(object_from_grasp=(0.0, 0.0, min(0.0, FINGER_DEPTH - item.half_height)))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE
-from toolkit.demonstrations import PickScript
+from toolkit.demonstrations import PickScript, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import NpgConfig, npg_step
@@ -102,7 +102,7 @@ def train_expert(
     """
     rng = np.random.default_rng(config.seed)
     beta = engine.merged.space.beta(source)
-    script = PickScript()
+    script = pick_script(engine.merged.task.object)
     seeds = list(range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations))
     strict = replace(engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
     teacher = RolloutEngine(MergedRobot(engine.merged.space, strict), engine.threads)
