@@ -1,6 +1,7 @@
 """The record that describes a system: an arm with a gripper on it, standing at the task's table."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from grippers.gripper import Gripper
 
@@ -16,6 +17,10 @@ class Robot:
         base_position: of the arm's mount (x, y, z) [m] in the task's frame, whose origin is on the floor under the
             table's centre.
         posture_seed: arm configuration [rad] near which the start posture is sought (robosuite's own start).
+        arm_friction: own arm joint -> friction torque [N m] that holds it in robosuite beyond the joint's own, where two of
+            the arm's collision shapes touch: the merged robot has no collision shapes on arms. Empty for most arms.
+        arm_roles: own arm joint (without robosuite's prefix) -> joint "arm1".. of the source that it shall be matched
+            with; overrides what the geometry proposes. Empty for most arms.
         source_of_policy: True for a robot that experts are trained on.
         datasheet: where the arm's numbers come from.
     """
@@ -27,6 +32,8 @@ class Robot:
     posture_seed: tuple[float, ...]
     datasheet: str
     source_of_policy: bool = False
+    arm_friction: Mapping[str, float] = field(default_factory=dict)
+    arm_roles: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():

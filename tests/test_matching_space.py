@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
-from toolkit.morphology.matching import match
+from toolkit.morphology.matching import match, merged_slots
 from toolkit.morphology.space import (
     axis_to_tangent,
     gyration,
@@ -42,6 +42,7 @@ def test_slots_are_the_arm_then_the_roles_parents_first(matching):
     assert names == [f"arm{i + 1}" for i in range(matching.arm_size)] + list(ROLE_PARENT)
     for index, slot in enumerate(matching.slots):
         assert slot.parent < index, f"{slot.name} comes before its parent"
+        assert slot.sliding == slot.name.endswith("S"), f"{slot.name} is of the wrong kind"
         if slot.name in ROLE_PARENT:
             parent = ROLE_PARENT[slot.name] or f"arm{matching.arm_size}"
             assert names[slot.parent] == parent, f"{slot.name} hangs on {names[slot.parent]}, not on {parent}"
@@ -54,9 +55,12 @@ def test_screws_stand_where_mujoco_puts_the_joints(matching, native, name):
     data.qpos[:] = robot.data.qpos
     mujoco.mj_kinematics(robot.model, data)
     for slot, joint in zip(matching.slots, system.joints, strict=True):
-        if joint is None:
+        if joint is None or joint.mujoco_joint < 0:
             continue
-        np.testing.assert_allclose(joint.screw.anchor, data.xanchor[joint.mujoco_joint], atol=1e-9, err_msg=slot.name)
+        anchor = np.array(data.xanchor[joint.mujoco_joint])
+        if slot.sliding:  # MuJoCo leaves a slide's anchor where it was before sliding
+            anchor += (joint.screw.anchor - anchor) @ joint.screw.axis * joint.screw.axis
+        np.testing.assert_allclose(joint.screw.anchor, anchor, atol=1e-9, err_msg=slot.name)
         np.testing.assert_allclose(
             joint.sign * joint.screw.axis, data.xaxis[joint.mujoco_joint], atol=1e-9, err_msg=slot.name
         )
@@ -85,7 +89,8 @@ def test_observed_fingers_turn_alike_in_the_native_scene(matching, native, name)
     system = matching.systems[matching.names.index(name)]
     signs = {slot.name: j.sign for slot, j in zip(matching.slots, system.joints, strict=True) if j}
     alone = {role: sign for role, (q, sign, _) in zip(COMMANDED_ROLES, native(name)._fingers, strict=True) if q >= 0}
-    assert alone and alone == {role: signs[role] for role in alone}
+    hinges = set(ROBOTS[name].gripper.joints) & set(COMMANDED_ROLES)
+    assert set(alone) == hinges and alone == {role: signs[role] for role in alone}
 
 
 def test_one_robot_is_no_merged_tree():
@@ -95,10 +100,21 @@ def test_one_robot_is_no_merged_tree():
         match([ROBOTS["kinova3"], ROBOTS["kinova3"]])
 
 
-def test_an_arm_with_another_number_of_joints_is_named():
-    six = replace(ROBOTS["kinova3"], name="ur5e", arm="UR5e", posture_seed=(-0.47, -1.735, 2.48, -2.275, -1.59, -1.991))
-    with pytest.raises(ToolkitError, match="robot ur5e: its arm has 6 joints, the merged tree 7"):
-        match([ROBOTS["kinova3"], six])
+def test_roles_that_nobody_has_and_nobody_commands_are_left_out():
+    slots = merged_slots(["arm1"], {"THS"})
+    parent = {slot.name: slots[slot.parent].name for slot in slots[1:]}
+    assert set(parent) == {*COMMANDED_ROLES, "THS"}
+    assert parent["THJ4"] == "THS" and parent["FFJ3"] == "arm1"
+
+
+def test_six_joints_leave_out_the_roll_of_the_upper_arm(matching):
+    """UR5e has no joint that turns the elbow about the line from shoulder to wrist; the other six pair in order."""
+    system = matching.systems[matching.names.index("ur5e")]
+    absent = [slot.name for i, slot in enumerate(matching.slots[: matching.arm_size]) if not system.present(i)]
+    assert absent == ["arm3"]
+    assert (system.torque_limits[2], system.torque_limits.min()) == (0.0, 0.0)
+    others = [s for s in matching.systems if s is not system]
+    assert all(s.present(i) for s in others for i in range(7)), "an arm of seven joints leaves one out"
 
 
 def test_a_joint_that_the_gripper_lacks_is_named_with_those_it_has():

@@ -24,9 +24,13 @@ from tasks.pick import (
 from toolkit.errors import ToolkitError
 from toolkit.morphology.space import (
     FREEZE_DECADES,
+    FROZEN_ARM_ARMATURE,
+    FROZEN_ARM_STIFFNESS,
     FROZEN_ARMATURE,
-    FROZEN_DAMPING,
+    FROZEN_SLIDE_ARMATURE,
+    FROZEN_SLIDE_STIFFNESS,
     FROZEN_STIFFNESS,
+    FROZEN_WIDE_DECADES,
     EvolutionSpace,
     inertia_from_gyration,
     tangents_to_axes,
@@ -126,11 +130,22 @@ class MergedRobot:
         self._arm = space.matching.arm_size
         self._driven = [i for i in range(self._arm, len(slots)) if not slots[i].name.endswith("K")]
         self._shape_slot = np.array([s.slot for s in space.shape_slots])
-        capsule = np.array([s.kind == mujoco.mjtGeom.mjGEOM_CAPSULE for s in space.shape_slots])
-        self._shape_dims = np.where(capsule[:, None], (1.0, 1.0, 0.0), 1.0)
+        slim = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+        two = np.array([s.kind in slim for s in space.shape_slots])
+        self._shape_dims = np.where(two[:, None], (1.0, 1.0, 0.0), 1.0)
         self._shape_reference = Rotation.from_matrix(np.array([s.reference for s in space.shape_slots]))
+        self._hold = self._holds()
         self._tip_of = self._tips()
         self.template = self.compile(space.betas[0])
+
+    def _holds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Spring, damping and armature of each slot when frozen, and the decades over which they grow: (n_slots,) each."""
+        sliding = np.array([slot.sliding for slot in self.space.matching.slots])
+        arm = np.arange(len(sliding)) < self._arm
+        spring = np.where(arm, FROZEN_ARM_STIFFNESS, np.where(sliding, FROZEN_SLIDE_STIFFNESS, FROZEN_STIFFNESS))
+        armature = np.where(arm, FROZEN_ARM_ARMATURE, np.where(sliding, FROZEN_SLIDE_ARMATURE, FROZEN_ARMATURE))
+        decades = np.where(arm | sliding, FROZEN_WIDE_DECADES, FREEZE_DECADES)
+        return spring, 2.0 * np.sqrt(spring * armature), armature, decades
 
     def _tips(self) -> list[int]:
         """For each slot the slot at whose anchor its visual bone ends; -1: at the finger's last shape or the palm."""
@@ -150,7 +165,8 @@ class MergedRobot:
         mass = np.maximum(theta["mass"][:, 0], MIN_MASS)
         moments, frames = _principal(inertia_from_gyration(mass, theta["gyration"]))
         freeze = theta["freeze"][:, 0]
-        locked = (10.0 ** (FREEZE_DECADES * freeze) - 1.0) / (10.0**FREEZE_DECADES - 1.0)
+        spring, damping, armature, decades = self._hold
+        locked = (10.0 ** (decades * freeze) - 1.0) / (10.0**decades - 1.0)
         presence = theta["shape_presence"][:, 0]
         rotation = Rotation.from_rotvec(theta["shape_rotation"]) * self._shape_reference
         size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
@@ -165,9 +181,9 @@ class MergedRobot:
             inertia_quat=frames,
             limits=theta["limits"],
             margin=theta["limit_margin"][:, 0],
-            spring=locked * FROZEN_STIFFNESS,
-            damping=theta["damping"][:, 0] * (1 - freeze) + locked * FROZEN_DAMPING,
-            armature=theta["armature"][:, 0] * (1 - freeze) + locked * FROZEN_ARMATURE,
+            spring=locked * spring,
+            damping=theta["damping"][:, 0] * (1 - freeze) + locked * damping,
+            armature=theta["armature"][:, 0] * (1 - freeze) + locked * armature,
             friction_loss=theta["friction_loss"][:, 0],
             gain=theta["stiffness"][self._driven, 0],
             force_limit=np.maximum(theta["force_limit"][self._driven, 0], 1e-9),
@@ -189,7 +205,7 @@ class MergedRobot:
             coupling_time=0.02 / np.maximum(held, 1e-3),
             coupling_length=theta["coupling_length"][:, 0],
             coupling_held=held > HELD,
-            torque_limit=theta["torque_limit"][:, 0],
+            torque_limit=np.maximum(theta["torque_limit"][:, 0], 1e-9),
             bone_pos=bone_pos,
             bone_quat=bone_quat,
             bone_size=bone_size,
@@ -245,6 +261,7 @@ class MergedRobot:
 
     def _add_links(self, spec: mujoco.MjSpec, p: Patch) -> list:
         bodies = []
+        hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
         for i, slot in enumerate(self.space.matching.slots):
             parent = spec.worldbody if slot.parent < 0 else bodies[slot.parent]
             body = parent.add_body(
@@ -252,7 +269,7 @@ class MergedRobot:
                 inertia=p.inertia[i], explicitinertial=True,
             )  # fmt: skip
             body.add_joint(
-                name=slot.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=p.axis[i], limited=True, range=p.limits[i],
+                name=slot.name, type=slide if slot.sliding else hinge, axis=p.axis[i], limited=True, range=p.limits[i],
                 margin=p.margin[i], stiffness=p.spring[i], damping=p.damping[i], armature=p.armature[i],
                 frictionloss=p.friction_loss[i],
             )  # fmt: skip
@@ -402,9 +419,10 @@ class MergedRobot:
         ):
             model.geom_pos[ids], model.geom_quat[ids] = pos, quat
             model.geom_size[ids] = size
-            box = model.geom_type[ids] == mujoco.mjtGeom.mjGEOM_BOX
-            model.geom_rbound[ids] = np.where(box, np.linalg.norm(size, axis=1), size[:, 0] + size[:, 1])
-            capsule_extent = np.stack([size[:, 0], size[:, 0], size[:, 0] + size[:, 1]], axis=1)
+            kind = model.geom_type[ids]
+            box, cylinder = kind == mujoco.mjtGeom.mjGEOM_BOX, kind == mujoco.mjtGeom.mjGEOM_CYLINDER
+            model.geom_rbound[ids] = np.where(box | cylinder, np.linalg.norm(size, axis=1), size[:, 0] + size[:, 1])
+            capsule_extent = np.stack([size[:, 0], size[:, 0], np.where(cylinder, 0.0, size[:, 0]) + size[:, 1]], axis=1)
             model.geom_aabb[ids, 3:] = np.where(box[:, None], size, capsule_extent)
         self._set_contacts(model, p)
         model.geom_friction[self._shape] = p.shape_friction

@@ -1,25 +1,34 @@
 """Matching: which joint of each robot is which, and the merged tree that holds them all.
 
-Arms are matched automatically (root to root, flange to flange, joints in order); fingers by the roles that the grippers
-declare. The merged tree is the graph union: a slot per matched joint, with the robots that own it.
+Arms are matched by geometry (``proposal``), fingers by the roles that the grippers declare. The merged tree is the graph
+union: a slot per matched joint, with the robots that own it.
 
 Every robot is read at its start posture, where all grasp frames coincide, as a list of screws in world axes (product
 of exponentials; Brockett 1984): a joint is a point and a direction, a link is a mass, a centre and an inertia. The
-merged joint angle counts from the start posture; fingers close in the positive sense, every other joint turns in the
-source's sense. So zero and plus mean the same for all.
+merged joint angle (of a slide the displacement: radians below are then metres) counts from the start posture; fingers
+close in the positive sense, every other joint turns in the source's sense. So zero and plus mean the same for all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
-from grippers.gripper import ROLE_PARENT, ROLE_SENSE, ROLES
+from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, slides
 from robots.robot import Robot
 from tasks import TASKS
 from toolkit.errors import ToolkitError
-from toolkit.morphology.posture import arm_joints, close_in_air, native_env, role_actuators, role_joints, target_at
+from toolkit.morphology.posture import (
+    arm_joints,
+    close_in_air,
+    native_env,
+    role_actuators,
+    role_joints,
+    target_at,
+    welded_bodies,
+)
+from toolkit.morphology.proposal import ALONE, align, pair_cost
 from toolkit.morphology.tree import KinematicTree, Screw
 
 UNLIMITED_ANGLE = 4 * np.pi
@@ -37,11 +46,13 @@ class Slot:
         name: "arm1".. or a finger role.
         parent: index of the parent slot, -1 for the world.
         element: arm joint or finger to which the slot belongs; parameters are grouped by it.
+        sliding: whether the joint is a slide [m] rather than a hinge [rad].
     """
 
     name: str
     parent: int
     element: str
+    sliding: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,7 +63,7 @@ class Joint:
         screw: joint and link at the start posture, world axes, axis already signed.
         sign: +1 or -1: merged angle = sign * (robot's angle - start angle).
         start: the robot's own angle at the start posture [rad].
-        mujoco_joint: id in the robot's native scene.
+        mujoco_joint: id in the robot's native scene; -1 for a body that is welded to its parent there.
         limits: (low, high) [rad], merged.
         damping: [N m s/rad].  armature: [kg m^2].  friction_loss: [N m].  margin: limit margin [rad].
         stiffness: position gain of its actuator [N m/rad], 0 without one.
@@ -127,7 +138,7 @@ class System:
         joints: one per slot, None where the robot has none.
         shapes: primitive collision geoms of the gripper, in MuJoCo's order.
         couplings: fixed tendons of the gripper.
-        torque_limits: (n_arm,) [N m].
+        torque_limits: one per arm slot (n,) [N m], 0 where the robot has no joint.
         base_follows: 1 if the OSC base frame turns with joint 1 (KUKA's site sits on link 1), else 0.
         base_position: origin of the OSC base frame at the start [m].
     """
@@ -160,13 +171,21 @@ class Matching:
         return [system.robot.name for system in self.systems]
 
 
-def merged_slots(arm_size: int) -> tuple[Slot, ...]:
-    """Slots of the merged tree: the arm's joints in order, then the finger roles on the flange."""
-    slots = [Slot(f"arm{i + 1}", i - 1, f"arm{i + 1}") for i in range(arm_size)]
-    index = {None: arm_size - 1}
+def merged_slots(arm: Sequence[str], owned: Container[str] = ()) -> tuple[Slot, ...]:
+    """Slots of the merged tree: the arm's joints in order, then the finger roles on the flange.
+
+    Args:
+        arm: names of the merged arm's joints.
+        owned: roles that some robot has; those that nobody commands are left out where none does.
+    """
+    slots = [Slot(name, i - 1, name) for i, name in enumerate(arm)]
+    index: dict[str | None, int] = {None: len(arm) - 1}
     for role in ROLES:
-        index[role] = len(slots)
-        slots.append(Slot(role, index[ROLE_PARENT[role]], role[:2]))
+        parent = index[ROLE_PARENT[role]]
+        index[role] = parent
+        if role in COMMANDED_ROLES or role in owned:
+            index[role] = len(slots)
+            slots.append(Slot(role, parent, role[:2], slides(role)))
     return tuple(slots)
 
 
@@ -284,55 +303,146 @@ def _equivalent_linkage(
     return tuple(out)
 
 
-def _carriers(model: mujoco.MjModel, slot_of: dict[int, int], flange_slot: int) -> dict[int, int]:
-    """Body id -> slot of the nearest joint above it (the flange for bodies fixed to the arm's last link)."""
+def _carriers(model: mujoco.MjModel, slot_of: dict[int, int], welded: dict[int, int], flange_slot: int) -> dict[int, int]:
+    """Body id -> slot of the nearest joint or welded body above it (the flange for what is fixed to the arm's last link)."""
     carrier: dict[int, int] = {}
     for body in range(1, model.nbody):
         joint = int(model.body_jntadr[body])
         inherited = carrier.get(int(model.body_parentid[body]), flange_slot)
-        carrier[body] = slot_of.get(joint, inherited) if joint >= 0 else inherited
+        carrier[body] = slot_of.get(joint, inherited) if joint >= 0 else welded.get(body, inherited)
     return carrier
 
 
-def read_system(robot: Robot, slots: Sequence[Slot], axes: dict[int, np.ndarray]) -> tuple[System, int]:
+@dataclass(frozen=True)
+class Reading:
+    """A robot's scene at its start posture, as far as it can be read without the other robots.
+
+    Attributes:
+        robot: its card.
+        model, data: the native scene; ``env`` keeps them alive.
+        arm: ids of the arm's joints, base to flange.
+        welded: role -> body id.
+        tree: kinematic tree.  screws: of its joints.
+        role: joint id -> role.
+    """
+
+    robot: Robot
+    env: object
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    arm: list[int]
+    welded: dict[str, int]
+    tree: KinematicTree
+    screws: list[Screw]
+    role: dict[int, str]
+
+    @property
+    def arm_screws(self) -> list[Screw]:
+        """Screws of the arm's joints, base to flange."""
+        by_joint = dict(zip(self.tree.joints, self.screws, strict=True))
+        return [by_joint[joint] for joint in self.arm]
+
+    def arm_name(self, index: int) -> str:
+        """The arm's own name of its joint at an index, without robosuite's prefix."""
+        return self.model.joint(self.arm[index]).name.removeprefix("robot0_")
+
+
+def read(robot: Robot) -> Reading:
+    """Load a robot's native scene at its start posture.
+
+    Raises:
+        ToolkitError: the card names what the models lack, or the robot cannot start where the task asks.
+    """
+    env = native_env(robot, TASKS["061_foam_brick"])
+    env.begin(0)
+    model, data = env.sim.model._model, env.sim.data._data
+    mujoco.mj_forward(model, data)
+    role = {joint: role for role, joint in role_joints(model, robot).items()}
+    welded = welded_bodies(model, robot)
+    tree = KinematicTree(model, "robot0_base", welded.values())
+    arm = arm_joints(model)
+    for joint in tree.joints:
+        if joint not in role and joint not in arm:
+            raise ToolkitError(f"gripper {robot.gripper.name}: joint {model.joint(joint).name!r} has no role")
+    return Reading(robot, env, model, data, arm, welded, tree, tree.screws(data.qpos), role)
+
+
+def match_arms(readings: Sequence[Reading]) -> tuple[list[str], list[list[int]]]:
+    """The merged arm: the source's joints, and in between any joint of another arm that has no partner among them.
+
+    Returns:
+        names of the merged arm's joints, base to flange; for every robot the index of each of its own joints among them.
+
+    Raises:
+        ToolkitError: a card asks for a pair that is not possible.
+    """
+    names = [f"arm{i + 1}" for i in range(len(readings[0].arm))]
+    screws = list(readings[0].arm_screws)
+    found = [list(names)]
+    for reading in readings[1:]:
+        own = reading.arm_screws
+        costs = np.array([[pair_cost(a, b) for b in own] for a in screws])
+        for joint, role in reading.robot.arm_roles.items():
+            row, column = _override(reading, names, joint, role)
+            costs[row], costs[:, column], costs[row, column] = np.inf, np.inf, -ALONE
+        slot_names: list[str] = []
+        merged: list[tuple[str, Screw]] = []
+        for i, j in align(costs):
+            name = names[i] if i is not None else f"{merged[-1][0] if merged else 'arm0'}b"
+            merged.append((name, screws[i] if i is not None else own[j]))
+            if j is not None:
+                slot_names.append(name)
+        names, screws = [name for name, _ in merged], [screw for _, screw in merged]
+        found.append(slot_names)
+    return names, [[names.index(name) for name in own] for own in found]
+
+
+def _override(reading: Reading, names: list[str], joint: str, role: str) -> tuple[int, int]:
+    own = [reading.arm_name(i) for i in range(len(reading.arm))]
+    if role not in names:
+        raise ToolkitError(f"robot {reading.robot.name}: arm_roles pairs {joint!r} with {role!r}; there are {', '.join(names)}")
+    if joint not in own:
+        raise ToolkitError(f"robot {reading.robot.name}: arm_roles names joint {joint!r}, which its arm lacks; it has {', '.join(own)}")
+    return names.index(role), own.index(joint)
+
+
+def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axes: dict[int, np.ndarray]) -> tuple[System, int]:
     """A robot's screws, limits, actuators, shapes and couplings at its start posture.
 
     Args:
-        robot: the card.
+        reading: its scene.
         slots: the merged tree.
+        arm: slot of each of its arm joints.
         axes: slot -> axis that fixes the sign; axes of slots met for the first time are added.
 
     Returns:
         the system; the number of collision meshes of its gripper that the merged robot leaves out.
 
     Raises:
-        ToolkitError: the arm has another number of joints than the merged tree.
+        ToolkitError: its OSC base frame stands askew.
     """
-    env = native_env(robot, TASKS["061_foam_brick"])
-    env.begin(0)
-    model, data = env.sim.model._model, env.sim.data._data
-    mujoco.mj_forward(model, data)
-    arm = arm_joints(model)
+    robot, model, data = reading.robot, reading.model, reading.data
     arm_size = sum(slot.name.startswith("arm") for slot in slots)
-    if len(arm) != arm_size:
-        raise ToolkitError(f"robot {robot.name}: its arm has {len(arm)} joints, the merged tree {arm_size}")
     index = {slot.name: i for i, slot in enumerate(slots)}
-    slot_of = {joint: i for i, joint in enumerate(arm)}
-    slot_of |= {joint: index[role] for role, joint in role_joints(model, robot).items()}
-    tree = KinematicTree(model, "robot0_base")
+    slot_of = dict(zip(reading.arm, arm, strict=True))
+    slot_of |= {joint: index[role] for joint, role in reading.role.items()}
     joints: list[Joint | None] = [None] * len(slots)
-    for joint, screw in zip(tree.joints, tree.screws(data.qpos), strict=True):
-        if joint not in slot_of:
-            raise ToolkitError(f"gripper {robot.gripper.name}: joint {model.joint(joint).name!r} has no role")
+    for joint, screw in zip(reading.tree.joints, reading.screws, strict=True):
         slot = slot_of[joint]
         sign = finger_sign(robot, slots[slot].name, screw.axis) if slot >= arm_size else _side(screw.axis, axes.get(slot))
         screw = replace(screw, axis=sign * screw.axis)
         axes.setdefault(slot, screw.axis)
-        joints[slot] = _joint(model, joint, screw, sign, float(data.qpos[model.jnt_qposadr[joint]]))
+        own = _joint(model, joint, screw, sign, float(data.qpos[model.jnt_qposadr[joint]]))
+        held = robot.arm_friction.get(model.joint(joint).name.removeprefix("robot0_"), 0.0)
+        joints[slot] = replace(own, friction_loss=own.friction_loss + held)
+    for role, body in reading.welded.items():
+        axis = axes.get(index[role], np.array([1.0, 0.0, 0.0]))
+        joints[index[role]] = _welded(reading.tree.welded(body, data.qpos, axis))
     for role, actuator in role_actuators(model, robot).items():
         targets = (target_at(robot, role, -1.0), target_at(robot, role, 1.0))
         joints[index[role]] = _drive(model, actuator, joints[index[role]], targets)
-    shapes, meshes = _shapes(model, data, _carriers(model, slot_of, arm_size - 1))
+    welded = {body: index[role] for role, body in reading.welded.items()}
+    shapes, meshes = _shapes(model, data, _carriers(model, slot_of, welded, arm_size - 1))
     site = model.site(BASE_SITE)
     if not np.allclose(data.site_xmat[site.id], np.eye(3).ravel(), atol=1e-4):
         raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")
@@ -340,12 +450,14 @@ def read_system(robot: Robot, slots: Sequence[Slot], axes: dict[int, np.ndarray]
     couplings = _couplings(model, slot_of, joints)
     if robot.gripper.four_bar:
         couplings = _equivalent_linkage(model, np.array(data.qpos), robot, joints, index)
-    system = System(
-        robot, tuple(joints), shapes, couplings,
-        np.array([model.actuator_ctrlrange[a, 1] for a in range(arm_size)]), follows,
-        np.array(data.site_xpos[site.id]),
-    )  # fmt: skip
-    return system, meshes
+    limits = np.zeros(arm_size)
+    limits[list(arm)] = [model.actuator_ctrlrange[a, 1] for a in range(len(arm))]
+    return System(robot, tuple(joints), shapes, couplings, limits, follows, np.array(data.site_xpos[site.id])), meshes
+
+
+def _welded(screw: Screw) -> Joint:
+    wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
+    return Joint(screw, 1.0, 0.0, -1, wide, 0.0, 0.0, 0.0, 0.0, locked=True)
 
 
 def match(robots: Sequence[Robot]) -> Matching:
@@ -357,11 +469,12 @@ def match(robots: Sequence[Robot]) -> Matching:
     names = [robot.name for robot in robots]
     if len(robots) < 2 or len(set(names)) != len(names):
         raise ToolkitError(f"a merged tree needs at least two different robots; got {', '.join(names) or 'none'}")
-    slots = merged_slots(len(robots[0].posture_seed))
+    readings = [read(robot) for robot in robots]
+    arm, places = match_arms(readings)
+    slots = merged_slots(arm, {role for robot in robots for role in (*robot.gripper.joints, *robot.gripper.welded)})
     axes: dict[int, np.ndarray] = {}
-    read = [read_system(robot, slots, axes) for robot in robots]
+    systems = [read_system(reading, slots, place, axes) for reading, place in zip(readings, places, strict=True)]
     return Matching(
-        slots, tuple(system for system, _ in read), len(robots[0].posture_seed),
-        {robot.name: meshes for robot, (_, meshes) in zip(robots, read, strict=True)},
+        slots, tuple(system for system, _ in systems), len(arm),
+        {robot.name: meshes for robot, (_, meshes) in zip(robots, systems, strict=True)},
     )  # fmt: skip
-

@@ -5,6 +5,7 @@ them: a merged gripper has no meshes, no contact with itself, and open chains in
 """
 
 import copy
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,13 +13,13 @@ import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 
-from grippers.gripper import COMMANDED_ROLES
+from grippers.gripper import COMMANDED_ROLES, ROLE_COMMAND, ROLES
 from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import Matching, System
-from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
+from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
 
 CONFIGURATIONS = 100
@@ -101,8 +102,9 @@ class Side:
 
 
 def _last_role(robot: Robot, finger: str) -> str | None:
-    """The outermost joint of a finger that the robot has; inner knuckles apart."""
-    roles = [role for role in COMMANDED_ROLES if role.startswith(finger) and role in robot.gripper.joints]
+    """The outermost link of a finger that the robot has; inner knuckles apart."""
+    own = (*robot.gripper.joints, *robot.gripper.welded)
+    roles = [role for role in ROLES if role.startswith(finger) and not role.endswith("K") and role in own]
     return roles[-1] if roles else None
 
 
@@ -112,13 +114,13 @@ def _native_side(robot: Robot, task: PickTask) -> Side:
     plant.begin(START_SEED)
     model = plant.model
     joints, actuators = role_joints(model, robot), role_actuators(model, robot)
-    body_of = {role: int(model.jnt_bodyid[joint]) for role, joint in joints.items()}
+    body_of = {role: int(model.jnt_bodyid[joint]) for role, joint in joints.items()} | welded_bodies(model, robot)
     pads = {}
     for finger in PAD_FINGERS:
         role = _last_role(robot, finger)
         geoms = [] if role is None else [
             g for g in range(model.ngeom)
-            if model.body_weldid[model.geom_bodyid[g]] == body_of[role] and _is_pad(model, g)
+            if _link(model, int(model.geom_bodyid[g]), body_of.values()) == body_of[role] and _is_pad(model, g)
         ]  # fmt: skip
         if geoms:
             pads[finger] = geoms[-1]
@@ -129,6 +131,13 @@ def _native_side(robot: Robot, task: PickTask) -> Side:
     fingers = [actuators[role] for role in robot.gripper.targets]
     item = int(model.body(plant.env.item.root_body).id)
     return Side(plant, model.site(GRIP_SITE).id, arm_joints(model), fingers, pads, jaws, item)
+
+
+def _link(model: mujoco.MjModel, body: int, links: Collection[int]) -> int:
+    """The nearest of ``links`` from a body upwards, itself included; 0 if there is none."""
+    while body and body not in links:
+        body = int(model.body_parentid[body])
+    return body
 
 
 def _is_pad(model: mujoco.MjModel, geom: int) -> bool:
@@ -151,8 +160,9 @@ def _merged_side(merged: MergedRobot, index: int) -> Side:
         if shapes:  # the robot's own order, which sorting by kind may have lost
             order = [id(shape) for shape in matching.systems[index].shapes]
             pads[finger] = model.geom(max(shapes, key=lambda s: order.index(id(s.owners[index]))).name).id
-    arm = [model.joint(slot.name).id for slot in matching.slots[: matching.arm_size]]
-    fingers = [model.actuator(role).id for role in COMMANDED_ROLES]
+    system = matching.systems[index]
+    arm = [model.joint(slot.name).id for i, slot in enumerate(matching.slots[: matching.arm_size]) if system.present(i)]
+    fingers = [model.actuator(slot.name).id for slot in matching.slots if slot.name in ROLE_COMMAND]
     never_meet: tuple[set[int], set[int]] = (set(), set())
     return Side(plant, model.site("grasp").id, arm, fingers, pads, never_meet, model.body("object").id)
 
@@ -204,7 +214,7 @@ def parity(merged: MergedRobot, robot: Robot) -> dict[str, str | float]:
 def arm_errors(mine: Side, own: Side, system: System) -> tuple[float, float]:
     """Largest grasp frame distance [m] and relative arm mass matrix error over random configurations."""
     rng = np.random.default_rng(START_SEED)
-    joints = system.joints[: len(own.arm)]
+    joints = [joint for joint in system.joints if joint is not None][: len(own.arm)]  # arm slots come first
     sign, start = np.array([j.sign for j in joints]), np.array([j.start for j in joints])
     limited = own.plant.model.jnt_limited[own.arm][:, None].astype(bool)
     low, high = np.where(limited, own.plant.model.jnt_range[own.arm], (-np.pi, np.pi)).T
@@ -345,7 +355,7 @@ def plot_merged_tree(matching: Matching, path: str | Path) -> None:
         if index < matching.arm_size - 1:
             continue
         _draw_joint(axes, spots[index], [system.present(index) for system in matching.systems])
-        arm = f"arm1 to arm{matching.arm_size}\n({matching.arm_size} joints in a row)"
+        arm = f"arm1 to {matching.slots[matching.arm_size - 1].name}\n({matching.arm_size} joints in a row)"
         label = arm if index == matching.arm_size - 1 else slot.name
         axes.annotate(label, spots[index] + [0, NODE_RADIUS + 0.07], ha="center", va="top", fontsize=9)
     _draw_key(axes, matching, columns)

@@ -43,6 +43,26 @@ def role_joints(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
     return out
 
 
+def welded_bodies(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
+    """Role -> id of the body that plays it without a joint of its own.
+
+    Raises:
+        ToolkitError: the gripper's model has no body of the declared name, or the body has a joint.
+    """
+    out = {}
+    for role, name in robot.gripper.welded.items():
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, GRIPPER_PREFIX + name)
+        if body < 0 or model.body_jntnum[body]:
+            known = [model.body(b).name.removeprefix(GRIPPER_PREFIX) for b in range(model.nbody)
+                     if model.body(b).name.startswith(GRIPPER_PREFIX) and not model.body_jntnum[b]]  # fmt: skip
+            raise ToolkitError(
+                f"gripper {robot.gripper.name}: role {role} is welded to body {name!r}, which its model has not without "
+                f"joints; it has {', '.join(known)}"
+            )
+        out[role] = body
+    return out
+
+
 def role_actuators(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
     """Role -> id of the actuator on that role's joint, for the roles that have a target."""
     by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}

@@ -24,6 +24,18 @@ FROZEN_DAMPING = 2.0 * np.sqrt(FROZEN_STIFFNESS * FROZEN_ARMATURE)
 """Damping [N m s/rad]: critical."""
 FREEZE_DECADES = 6.0
 """A joint stiffens over this many decades as its ``freeze`` goes from 0 to 1, so that it fades out before it locks."""
+FROZEN_SLIDE_STIFFNESS, FROZEN_SLIDE_ARMATURE = 2e5, 100.0
+"""The same [N/m, kg] for a jaw's slide: 100 N at the pads move it by half a millimetre."""
+FROZEN_ARM_STIFFNESS, FROZEN_ARM_ARMATURE = 2e6, 1e3
+"""The same [N m/rad, kg m^2] for an arm joint: so heavy beside a link that operational-space control, which reads the mass
+matrix but not the springs, moves the other joints exactly as if this one were not there (error 1/1000 of a link's share)."""
+FROZEN_WIDE_DECADES = 10.0
+"""FREEZE_DECADES of slides and arm joints, so that they begin to stiffen where finger joints do."""
+SLIDE_UNITS = {
+    "limits": "m", "damping": "N s/m", "armature": "kg", "friction_loss": "N", "limit_margin": "m", "stiffness": "N/m",
+    "force_limit": "N", "target": "m",
+}  # fmt: skip
+"""Units of a joint's fields where the joint is a slide."""
 HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
 """log10 of the command gain: a hand tracks its targets; robosuite's grippers take the sign of the action, which a gain of
 1000 reproduces for every action above rate/1000."""
@@ -365,7 +377,7 @@ class EvolutionSpace:
         ]
         out = [Field(name, (element,), (element,), ("",), unit, np.array(values)[:, None, None])
                for name, unit, element, values in rows]  # fmt: skip
-        arm = tuple(f"arm{i + 1}" for i in range(self.matching.arm_size))
+        arm = tuple(slot.name for slot in self.matching.slots[: self.matching.arm_size])
         limits = np.array([s.torque_limits for s in systems])[:, :, None]
         base = np.array([s.base_position for s in systems])[:, None, :]
         out.append(Field("torque_limit", arm, arm, ("",), "N m", limits))
@@ -377,6 +389,7 @@ class EvolutionSpace:
     def _parameters(self) -> list[Parameter]:
         """The differing entries, each with the dimension that moves it."""
         dimensions: dict[tuple, int] = {}
+        sliding = {slot.name for slot in self.matching.slots if slot.sliding}
         out: list[Parameter] = []
         self._positions: list[int] = []
         offset = 0
@@ -392,7 +405,8 @@ class EvolutionSpace:
                         pattern = tuple(np.round(1.0 - normalised if flipped else normalised, 9))
                         dimension = dimensions.setdefault((f.elements[row], pattern), len(dimensions))
                         name = ".".join(part for part in (f.items[row], f.name, f.components[column]) if part)
-                        out.append(Parameter(name, f.unit, f.elements[row], dimension, flipped, low, high, values))
+                        unit = SLIDE_UNITS.get(f.name, f.unit) if f.items[row] in sliding else f.unit
+                        out.append(Parameter(name, unit, f.elements[row], dimension, flipped, low, high, values))
                         self._positions.append(offset + row * columns + column)
             offset += rows * columns
         return out

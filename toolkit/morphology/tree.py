@@ -3,6 +3,7 @@
 pin.buildModelFromMJCF returns an empty model for robosuite scenes, so the tree is assembled from what MuJoCo compiled.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
@@ -33,6 +34,7 @@ class Screw:
         mass: of the link and everything rigidly fixed to it [kg].
         com: its centre of mass (3,) [m].
         inertia: about the centre of mass (3, 3) [kg m^2].
+        sliding: whether the link slides along the axis instead of turning about it.
     """
 
     anchor: np.ndarray
@@ -40,6 +42,7 @@ class Screw:
     mass: float
     com: np.ndarray
     inertia: np.ndarray
+    sliding: bool = False
 
 
 class KinematicTree:
@@ -48,16 +51,20 @@ class KinematicTree:
     Args:
         model: a compiled scene.
         root: name of the robot's root body, fixed to the world.
+        apart: bodies without joints that shall be links of their own, not lumped into what carries them; see ``welded``.
 
     Attributes:
         pin_model: the Pinocchio model; bodies without joints are lumped into the joint that carries them.
         joints: MuJoCo joint ids in Pinocchio's order (parents first).
     """
 
-    def __init__(self, model: mujoco.MjModel, root: str) -> None:
+    def __init__(self, model: mujoco.MjModel, root: str, apart: Collection[int] = ()) -> None:
         self.pin_model = pin.Model()
         self.joints: list[int] = []
         self._axes: list[np.ndarray] = []
+        self._sliding: list[bool] = []
+        self._apart: dict[int, pin.Inertia] = {body: pin.Inertia.Zero() for body in apart}
+        self._belongs: dict[int, int] = {}
         self._reference = np.array(model.qpos0)
         self._qpos_address = np.array(model.jnt_qposadr)
         root_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, root)
@@ -89,7 +96,13 @@ class KinematicTree:
             placement = anchor.inverse()
             self.joints.append(joint)
             self._axes.append(axis)
-        self.pin_model.appendBodyToJoint(joint_id, _inertia(model, body), placement)
+            self._sliding.append(bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE))
+        link = body if body in self._apart else self._belongs.get(int(model.body_parentid[body])) if first < 0 else None
+        if link is None:
+            self.pin_model.appendBodyToJoint(joint_id, _inertia(model, body), placement)
+        else:
+            self._belongs[body] = link
+            self._apart[link] += placement.act(_inertia(model, body))
         return joint_id, placement
 
     @property
@@ -116,10 +129,22 @@ class KinematicTree:
             out.append(
                 Screw(
                     np.array(placement.translation), placement.rotation @ axis,
-                    float(link.mass), np.array(link.lever), np.array(link.inertia),
+                    float(link.mass), np.array(link.lever), np.array(link.inertia), self._sliding[index],
                 )
             )  # fmt: skip
         return out
+
+    def welded(self, body: int, qpos: np.ndarray, axis: np.ndarray) -> Screw:
+        """A body kept ``apart`` with all that is fixed to it, as the link of a joint at its origin that never moves.
+
+        Args:
+            body: its MuJoCo id.
+            qpos: configuration (nq,).
+            axis: of the joint (3,), which means nothing as long as it is held.
+        """
+        origin = self.body_placement(body, qpos).translation
+        link = self.pin_data.oMi[self.bodies[body][0]].act(self._apart[body])
+        return Screw(np.array(origin), axis, float(link.mass), np.array(link.lever), np.array(link.inertia))
 
     def body_placement(self, body: int, qpos: np.ndarray) -> pin.SE3:
         """World placement of a MuJoCo body at a configuration ``qpos`` (nq,)."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES
+from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_COMMAND
 from robots.robot import Robot
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
 from toolkit.morphology.build import MergedRobot
@@ -37,7 +37,7 @@ class CommandLaw:
         common: 0 every role its own action, 1 one closing action for all.
         gain: K.  leak: pull of s to zero.  rate: largest change of s per policy step.
         preshape: s at the start of an episode.
-        opened, closed: position targets [rad] (n_actuators,) at s = -1 and s = +1.
+        opened, closed: position targets [rad, m for slides] (n_actuators,) at s = -1 and s = +1.
         role: index (n_actuators,) into the commanded roles.
     """
 
@@ -170,12 +170,13 @@ def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, 
     arm_size = merged.space.matching.arm_size
     index = {slot.name: i for i, slot in enumerate(slots)}
     roles = [index[role] for role in COMMANDED_ROLES]
-    targets = theta["target"][roles]
+    driven = [slot.name for slot in slots if slot.name in ROLE_COMMAND]
+    targets = theta["target"][[index[role] for role in driven]]
     law = CommandLaw(
         common=float(theta["common"][0, 0]), gain=float(10.0 ** theta["log_gain"][0, 0]),
         leak=float(theta["leak"][0, 0]), rate=float(10.0 ** theta["log_rate"][0, 0]),
         preshape=float(theta["preshape"][0, 0]), opened=targets[:, 0], closed=targets[:, 1],
-        role=np.arange(len(roles)),
+        role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in driven]),
     )  # fmt: skip
     base = (
         theta["base_follows"][0, 0], model.jnt_axis[model.joint(slots[0].name).id], theta["anchor"][0],
@@ -186,7 +187,7 @@ def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, 
                for role, here in zip(COMMANDED_ROLES, present, strict=True)]  # fmt: skip
     return Plant(
         model, data, [model.joint(slots[i].name).id for i in range(arm_size)],
-        [model.actuator(slots[i].name).id for i in range(arm_size)], [model.actuator(role).id for role in COMMANDED_ROLES],
+        [model.actuator(slots[i].name).id for i in range(arm_size)], [model.actuator(role).id for role in driven],
         "grasp", np.array(model.qpos0), fingers, law, base, "object", merged.task,
     )  # fmt: skip
 
@@ -199,7 +200,7 @@ def command_law(robot: Robot) -> CommandLaw:
     return CommandLaw(
         common=float(not hand), gain=10.0 ** (HAND_LOG_GAIN if hand else GRIPPER_LOG_GAIN), leak=float(hand),
         rate=HAND_RATE if hand else gripper.rate, preshape=gripper.preshape, opened=targets[:, 0], closed=targets[:, 1],
-        role=np.array([COMMANDED_ROLES.index(role) for role in gripper.targets]),
+        role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in gripper.targets]),
     )  # fmt: skip
 
 
