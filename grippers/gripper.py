@@ -58,8 +58,8 @@ class Gripper:
             ``speed``); None: every role follows its own target at once, as a hand does.
         preshape: closing command at the start of an episode, in [-1, 1]; the task's choice, not robosuite's.
         four_bar: True for jaws on four-bar linkages that robosuite keeps in shape by mesh against mesh. The merged
-            robot replaces each by an equivalent open chain, measured on the gripper itself: the driven knuckle with
-            its damping, the pad joint geared to it, the inner knuckle as dead weight.
+            robot replaces each by an elastic open chain, measured on the gripper itself: the driven knuckle and the
+            pad joint on springs (toolkit/morphology/linkage.py), the inner knuckle as dead weight.
         welded: role -> body (without robosuite's prefix) that plays it without a joint of its own: a jaw's pad. Its
             shapes then belong to the same link as the fingertips of other hands, into which they evolve.
         source: where rate, targets and preshape come from.

@@ -19,17 +19,7 @@ LIMITS = {
     "arm_fk_error_m": 1e-6, "arm_mass_matrix_rel_error": 1e-6, "pad_position_error_m": 2e-3, "pad_angle_error_deg": 2.0,
     "pad_force_rel_error": 0.1, "grasp_frame_drift_m": 1e-3,
 }  # fmt: skip
-SETTLES_SHORT = "robosuite's knuckle settles at about 0.6 of its target, held back by its linkage's meshes"
 KNOWN = {
-    ("kinova3", "pad_position_error_m"): f"14.3 mm: {SETTLES_SHORT}",
-    ("kinova3", "pad_angle_error_deg"): f"10.3 degrees: {SETTLES_SHORT}",
-    ("kinova3", "pad_force_rel_error"): "10.5 %: 78.3 N for 70.9 N",
-    ("iiwa", "pad_position_error_m"): "16.1 mm: robosuite's knuckle settles at about 0.7 of its target",
-    ("iiwa", "pad_angle_error_deg"): "4.6 degrees: robosuite's knuckle settles at about 0.7 of its target",
-    ("iiwa", "pad_force_rel_error"): "122 %: 64.1 N for 28.8 N",
-    ("ur5e", "pad_position_error_m"): f"14.3 mm: {SETTLES_SHORT}",
-    ("ur5e", "pad_angle_error_deg"): f"10.6 degrees: {SETTLES_SHORT}",
-    ("ur5e", "pad_force_rel_error"): "11.1 %",
     ("sawyer", "grasp_frame_drift_m"): "5 mm: air drags robosuite's links of 1e-8 kg m^2, lumped in the merge",
     ("jaco", "grasp_frame_drift_m"): "1.56 mm: air drags robosuite's link of 1e-6 kg m^2, lumped in the merge",
 }

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 PYTHON = (3, 11)
 TESTED: dict[str, tuple[str, str | None]] = {  # package -> from, and below
-    "mujoco": ("3.3.6", "3.8"),  # 3.8 lets robosuite's Robotiq-85 drop what it holds
+    "mujoco": ("3.7", "3.8"),  # 3.8 lets robosuite's Robotiq-85 drop what it holds
     "robosuite": ("1.5.1", "1.5.2"),  # 1.5.2 pins mink 0.0.5, and with it an old numpy, pin and rerun
     "mink": ("1.0", "1.2"),  # 1.2 needs mujoco 3.8
     "pin": ("4.0", None),

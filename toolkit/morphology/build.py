@@ -45,7 +45,9 @@ MIN_SIZE = 1e-5
 HAND_EXTENT = 0.25
 """Half extent [m] of the box within which a hand link's geoms lie, from the link's centre of mass, on every robot."""
 HELD = 1e-6
-"""A coupling is held from this share of its full impedance on."""
+"""A coupling is held from this share of its full impedance on, a pad from this stiffness [N m/rad] on."""
+SOFT = 0.5
+"""Impedance of the constraint that holds a pad to its curve: it adds as much apparent inertia as the two joints have."""
 TOUCHES = 0.2
 """A geom collides from this presence on: a thinner sliver would prick the object rather than hold it."""
 BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
@@ -67,6 +69,8 @@ class Patch:
     limits: np.ndarray
     margin: np.ndarray
     spring: np.ndarray
+    spring_quadratic: np.ndarray
+    spring_rest: np.ndarray
     damping: np.ndarray
     armature: np.ndarray
     friction_loss: np.ndarray
@@ -81,13 +85,15 @@ class Patch:
     shape_margin: np.ndarray
     coupling: np.ndarray
     coupling_stiffness: np.ndarray
-    coupling_rest: np.ndarray
+    coupling_slack: np.ndarray
     coupling_limits: np.ndarray
     coupling_friction: np.ndarray
     coupling_impedance: np.ndarray
     coupling_time: np.ndarray
     coupling_length: np.ndarray
     coupling_held: np.ndarray
+    curve: np.ndarray
+    curve_stiffness: np.ndarray
     torque_limit: np.ndarray
     bone_pos: np.ndarray
     bone_quat: np.ndarray
@@ -165,8 +171,10 @@ class MergedRobot:
         mass = np.maximum(theta["mass"][:, 0], MIN_MASS)
         moments, frames = _principal(inertia_from_gyration(mass, theta["gyration"]))
         freeze = theta["freeze"][:, 0]
-        spring, damping, armature, decades = self._hold
+        lock_spring, lock_damping, lock_armature, decades = self._hold
         locked = (10.0 ** (decades * freeze) - 1.0) / (10.0**decades - 1.0)
+        own_spring = theta["spring"][:, 0]
+        spring = own_spring + locked * lock_spring  # the lock's spring rests at zero
         presence = theta["shape_presence"][:, 0]
         rotation = Rotation.from_rotvec(theta["shape_rotation"]) * self._shape_reference
         size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
@@ -181,9 +189,11 @@ class MergedRobot:
             inertia_quat=frames,
             limits=theta["limits"],
             margin=theta["limit_margin"][:, 0],
-            spring=locked * spring,
-            damping=theta["damping"][:, 0] * (1 - freeze) + locked * damping,
-            armature=theta["armature"][:, 0] * (1 - freeze) + locked * armature,
+            spring=spring,
+            spring_quadratic=theta["spring_quadratic"][:, 0],
+            spring_rest=own_spring * theta["spring_rest"][:, 0] / np.maximum(spring, 1e-12),
+            damping=theta["damping"][:, 0] * (1 - freeze) + locked * lock_damping,
+            armature=theta["armature"][:, 0] * (1 - freeze) + locked * lock_armature,
             friction_loss=theta["friction_loss"][:, 0],
             gain=theta["stiffness"][self._driven, 0],
             force_limit=np.maximum(theta["force_limit"][self._driven, 0], 1e-9),
@@ -196,7 +206,7 @@ class MergedRobot:
             shape_margin=theta["shape_margin"][:, 0],
             coupling=theta["coupling"],
             coupling_stiffness=theta["coupling_stiffness"][:, 0],
-            coupling_rest=theta["coupling_rest"][:, 0],
+            coupling_slack=np.cumsum(theta["coupling_slack"], axis=1),
             coupling_limits=theta["coupling_limits"],
             coupling_friction=theta["coupling_friction"][:, 0],
             # MuJoCo's defaults when fully held. Its constraint acceleration goes as 1 / (impedance * time^2), so a coupling
@@ -205,6 +215,8 @@ class MergedRobot:
             coupling_time=0.02 / np.maximum(held, 1e-3),
             coupling_length=theta["coupling_length"][:, 0],
             coupling_held=held > HELD,
+            curve=theta["curve"],
+            curve_stiffness=theta["curve_stiffness"][:, 0],
             torque_limit=np.maximum(theta["torque_limit"][:, 0], 1e-9),
             bone_pos=bone_pos,
             bone_quat=bone_quat,
@@ -246,6 +258,7 @@ class MergedRobot:
         self._add_shapes(bodies, p)
         self._add_actuators(spec, p)
         self._add_couplings(spec, p)
+        self._add_curves(spec, p)
         self._add_object(spec)
         return spec
 
@@ -270,8 +283,8 @@ class MergedRobot:
             )  # fmt: skip
             body.add_joint(
                 name=slot.name, type=slide if slot.sliding else hinge, axis=p.axis[i], limited=True, range=p.limits[i],
-                margin=p.margin[i], stiffness=p.spring[i], damping=p.damping[i], armature=p.armature[i],
-                frictionloss=p.friction_loss[i],
+                margin=p.margin[i], stiffness=[p.spring[i], p.spring_quadratic[i], 0], springref=p.spring_rest[i],
+                damping=p.damping[i], armature=p.armature[i], frictionloss=p.friction_loss[i],
             )  # fmt: skip
             rgba = [0.3, 0.33, 0.38, 1] if i < self._arm else [0.55, 0.58, 0.62, 1]
             body.add_geom(
@@ -319,7 +332,7 @@ class MergedRobot:
         slots = self.space.matching.slots
         for i, coupling in enumerate(self.space.coupling_slots):
             tendon = spec.add_tendon(name=coupling.name, stiffness=p.coupling_stiffness[i],
-                                     frictionloss=p.coupling_friction[i], springlength=[p.coupling_rest[i]] * 2,
+                                     frictionloss=p.coupling_friction[i], springlength=p.coupling_slack[i],
                                      limited=True, range=p.coupling_limits[i])  # fmt: skip
             for slot, coefficient in zip(coupling.slots, p.coupling[i], strict=False):
                 tendon.wrap_joint(slots[slot].name, coefficient)
@@ -329,6 +342,16 @@ class MergedRobot:
             equality.solimp[:2] = p.coupling_impedance[i]
             equality.solref[0] = p.coupling_time[i]
 
+    def _add_curves(self, spec: mujoco.MjSpec, p: Patch) -> None:
+        slots = self.space.matching.slots
+        for i, curve in enumerate(self.space.curve_slots):
+            equality = spec.add_equality(
+                name=curve.name, type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=slots[curve.pad].name,
+                name2=slots[curve.driven].name, active=bool(p.curve_stiffness[i] > HELD),
+            )  # fmt: skip
+            equality.data[:5] = (0.0, *p.curve[i], 0.0, 0.0)
+            equality.solimp[:2] = SOFT
+
     def _add_object(self, spec: mujoco.MjSpec) -> None:
         item = self.task.object
         body = spec.worldbody.add_body(name="object", pos=[*OBJECT_XY, TABLE_TOP + item.half_height])
@@ -337,7 +360,8 @@ class MergedRobot:
         size = [*item.half_size, *([0.0] * (3 - len(item.half_size)))]
         body.add_geom(
             name="object", type=kind, size=size, density=item.mass / item.volume, friction=OBJECT_FRICTION,
-            solref=OBJECT_SOLREF, margin=OBJECT_MARGIN[item.shape], contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
+            solref=OBJECT_SOLREF, margin=OBJECT_MARGIN[item.shape], contype=OBJECT_BIT,
+            conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
         )  # fmt: skip
 
     def compile(self, alpha: np.ndarray) -> mujoco.MjModel:
@@ -354,6 +378,7 @@ class MergedRobot:
             raise ToolkitError(f"the merged robot of {names} does not compile: {' '.join(str(error).split())}") from error
         self._loosen(model)
         self._set_contacts(model, patch)
+        self._soften(model, patch)
         return model
 
     def _loosen(self, model: mujoco.MjModel) -> None:
@@ -372,13 +397,22 @@ class MergedRobot:
         model.body_contype[bodies] = 0
         np.bitwise_or.at(model.body_contype, bodies, p.shape_contact)
 
+    def _soften(self, model: mujoco.MjModel, p: Patch) -> None:
+        """Give the pads' constraints their stiffnesses.
+
+        At constant impedance d, MuJoCo's constraint of time constant t and damping ratio 1 is a spring of stiffness
+        1 / (t^2 (1 - d) A), critically damped, where A is the sum of the joints' inverse inertias.
+        """
+        inverse_inertia = model.dof_invweight0[self._curve_dofs].sum(axis=1)
+        model.eq_solref[self._curve, 0] = 1.0 / np.sqrt(np.maximum(p.curve_stiffness, HELD) * (1.0 - SOFT) * inverse_inertia)
+
     # ---- in place ----------------------------------------------------------------------------------------------
 
     def _address(self, model: mujoco.MjModel) -> None:
         slots = self.space.matching.slots
         self._body = np.array([model.body(s.name).id for s in slots])
         self._joint = np.array([model.joint(s.name).id for s in slots])
-        self._dof = model.jnt_dofadr[self._joint]
+        self._dof, self._qpos = model.jnt_dofadr[self._joint], model.jnt_qposadr[self._joint]
         self._bone = np.array([model.geom(f"{s.name}/bone").id for s in slots])
         self._shape = np.array([model.geom(s.name).id for s in self.space.shape_slots])
         self._arm_actuator = np.array([model.actuator(s.name).id for s in slots[: self._arm]])
@@ -387,6 +421,9 @@ class MergedRobot:
         couplings = self.space.coupling_slots
         self._tendon = np.array([model.tendon(c.name).id for c in couplings], int)
         self._equality = np.array([model.equality(c.name).id for c in couplings], int)
+        curves = self.space.curve_slots
+        self._curve = np.array([model.equality(c.name).id for c in curves], int)
+        self._curve_dofs = np.array([(self._dof[c.pad], self._dof[c.driven]) for c in curves], int).reshape(-1, 2)
         self._wraps = [np.arange(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t]) for t in self._tendon]
 
     def new(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -404,12 +441,14 @@ class MergedRobot:
         model.body_inertia[self._body] = p.inertia
         model.jnt_axis[self._joint], model.jnt_range[self._joint] = p.axis, p.limits
         model.jnt_margin[self._joint], model.jnt_stiffness[self._joint] = p.margin, p.spring
+        model.jnt_stiffnesspoly[self._joint, 0], model.qpos_spring[self._qpos] = p.spring_quadratic, p.spring_rest
         model.dof_damping[self._dof], model.dof_armature[self._dof] = p.damping, p.armature
         model.dof_frictionloss[self._dof] = p.friction_loss
         model.site_pos[self._grasp] = START_POSITION - self._anchor_of(p, self._arm - 1)
         self._patch_geoms(model, p)
         self._patch_actuation(model, p)
         mujoco.mj_setConst(model, data)
+        self._soften(model, p)
         mujoco.mj_resetData(model, data)
 
     def _patch_geoms(self, model: mujoco.MjModel, p: Patch) -> None:
@@ -437,10 +476,11 @@ class MergedRobot:
         for i, wraps in enumerate(self._wraps):
             model.wrap_prm[wraps] = p.coupling[i, : len(wraps)]
         model.tendon_stiffness[self._tendon] = p.coupling_stiffness
-        model.tendon_lengthspring[self._tendon] = p.coupling_rest[:, None]
+        model.tendon_lengthspring[self._tendon] = p.coupling_slack
         model.tendon_range[self._tendon] = p.coupling_limits
         model.tendon_frictionloss[self._tendon] = p.coupling_friction
         model.eq_active0[self._equality] = p.coupling_held
         model.eq_data[self._equality, 0] = p.coupling_length
         model.eq_solimp[self._equality, :2] = p.coupling_impedance
         model.eq_solref[self._equality, 0] = p.coupling_time
+        model.eq_data[self._curve, 1:3], model.eq_active0[self._curve] = p.curve, p.curve_stiffness > HELD

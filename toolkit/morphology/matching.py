@@ -19,9 +19,10 @@ from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, sl
 from robots.robot import Robot
 from tasks import TASKS
 from toolkit.errors import ToolkitError
+from toolkit.morphology.linkage import Linkage, equivalent_linkages
 from toolkit.morphology.posture import (
+    GRIP_SITE,
     arm_joints,
-    close_in_air,
     native_env,
     role_actuators,
     role_joints,
@@ -66,6 +67,8 @@ class Joint:
         mujoco_joint: id in the robot's native scene; -1 for a body that is welded to its parent there.
         limits: (low, high) [rad], merged.
         damping: [N m s/rad].  armature: [kg m^2].  friction_loss: [N m].  margin: limit margin [rad].
+        spring: stiffness of its own spring [N m/rad] at the angle ``spring_rest`` [rad], and ``spring_quadratic`` its growth
+            [N m/rad^2] with the distance from there; 0 without one.
         stiffness: position gain of its actuator [N m/rad], 0 without one.
         force_limit: largest actuator torque [N m].
         target_open, target_closed: merged position targets [rad] at closing command -1 and +1.
@@ -81,6 +84,9 @@ class Joint:
     armature: float
     friction_loss: float
     margin: float
+    spring: float = 0.0
+    spring_quadratic: float = 0.0
+    spring_rest: float | None = None
     stiffness: float = 0.0
     force_limit: float = 0.0
     target_open: float = 0.0
@@ -116,17 +122,33 @@ class Coupling:
 
     Attributes:
         coefficients: slot index -> coefficient.
-        stiffness: [N/m].  rest: spring length, merged [m].  limits: (low, high) [m], merged.  friction_loss: [N].
+        stiffness: [N/m].  slack: (length [m], merged, below which its spring pulls; how much longer it may be before it pushes).
+        limits: (low, high) [m], merged.  friction_loss: [N].
         held: whether an equality constraint holds its length.  held_length: at this merged length [m].
     """
 
     coefficients: dict[int, float]
     stiffness: float
-    rest: float
+    slack: tuple[float, float]
     limits: tuple[float, float]
     friction_loss: float
     held: bool
     held_length: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A pad held softly to the way P(q) = c1 q + c2 q^2 that its linkage leads it, in merged angles.
+
+    Attributes:
+        driven, pad: slots of the joint q and of the pad's joint.
+        coefficients: (c1 [1], c2 [1/rad]).  stiffness: [N m/rad].
+    """
+
+    driven: int
+    pad: int
+    coefficients: tuple[float, float]
+    stiffness: float
 
 
 @dataclass(frozen=True)
@@ -138,6 +160,7 @@ class System:
         joints: one per slot, None where the robot has none.
         shapes: primitive collision geoms of the gripper, in MuJoCo's order.
         couplings: fixed tendons of the gripper.
+        curves: how its pads follow their driven joints, where they hang on linkages.
         torque_limits: one per arm slot (n,) [N m], 0 where the robot has no joint.
         base_follows: 1 if the OSC base frame turns with joint 1 (KUKA's site sits on link 1), else 0.
         base_position: origin of the OSC base frame at the start [m].
@@ -147,6 +170,7 @@ class System:
     joints: tuple[Joint | None, ...]
     shapes: tuple[Shape, ...]
     couplings: tuple[Coupling, ...]
+    curves: tuple[Curve, ...]
     torque_limits: np.ndarray
     base_follows: float
     base_position: np.ndarray
@@ -261,12 +285,12 @@ def _couplings(model: mujoco.MjModel, slot_of: dict[int, int], joints: Sequence[
             start_length += coefficient * joints[slot].start
             coefficients[slot] = coefficient * joints[slot].sign
         low, high = model.tendon_range[tendon] if model.tendon_limited[tendon] else (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
-        rest = float(model.tendon_lengthspring[tendon, 0])
+        pulls, pushes = map(float, model.tendon_lengthspring[tendon])
         equality = held.get(tendon)
         length = float(model.tendon_length0[tendon]) + (float(model.eq_data[equality, 0]) if equality is not None else 0.0)
         out.append(
             Coupling(
-                coefficients, float(model.tendon_stiffness[tendon]), rest - start_length,
+                coefficients, float(model.tendon_stiffness[tendon]), (pulls - start_length, pushes - pulls),
                 (float(low) - start_length, float(high) - start_length), float(model.tendon_frictionloss[tendon]),
                 equality is not None, length - start_length,
             )
@@ -274,33 +298,25 @@ def _couplings(model: mujoco.MjModel, slot_of: dict[int, int], joints: Sequence[
     return tuple(out)
 
 
-def _equivalent_linkage(
-    model: mujoco.MjModel, start: np.ndarray, robot: Robot, joints: list[Joint | None], index: dict[str, int]
-) -> tuple[Coupling, ...]:
-    """Replace a four-bar gripper's linkages by geared open chains; edits ``joints``, returns the couplings.
-
-    The gear is the least-squares slope of the pad joint over the driven one while the gripper closes in free air; the
-    damping is what turns the servo's lag into the speed then seen.
-    """
-    closing = close_in_air(model, start, robot)
-    out = []
-    for driven in robot.gripper.targets:
-        pad = driven[:2] + "J1"
-        knuckle = driven[:2] + "K"
-        a, b = joints[index[driven]], joints[index[pad]]
-        x = a.sign * (closing.angles[driven] - a.start)
-        y = b.sign * (closing.angles[pad] - b.start)
-        gear = float(x @ y / (x @ x))
-        lag = a.stiffness * a.sign * (closing.targets[driven] - closing.angles[driven])
-        speed = a.sign * closing.speeds[driven]
-        damping = float(lag @ speed / (speed @ speed))
-        joints[index[driven]] = replace(a, damping=damping)
+def _open_chains(
+    linkages: Sequence[Linkage], joints: list[Joint | None], index: dict[str, int]
+) -> tuple[tuple[Coupling, ...], tuple[Curve, ...]]:
+    """A four-bar gripper's linkages as springs: edits ``joints``, returns the stops of the pads and their curves."""
+    stops, curves = [], []
+    for linkage in linkages:
+        driven, pad, knuckle = (index[role] for role in (linkage.driven, linkage.pad, linkage.knuckle))
+        joints[driven] = replace(
+            joints[driven], damping=linkage.damping, spring=linkage.stiffness, spring_quadratic=linkage.quadratic,
+            spring_rest=linkage.rest,
+        )  # fmt: skip
         wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)  # nothing may push against the lock
-        joints[index[knuckle]] = replace(joints[index[knuckle]], locked=True, limits=wide)
-        out.append(
-            Coupling({index[driven]: -gear, index[pad]: 1.0}, 0.0, 0.0, (-UNLIMITED_LENGTH, UNLIMITED_LENGTH), 0.0, True, 0.0)
-        )
-    return tuple(out)
+        joints[knuckle] = replace(joints[knuckle], locked=True, limits=wide)
+        unlimited = (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
+        stop = {driven: -linkage.gear, pad: linkage.turn}
+        stops.append(Coupling(stop, linkage.stop, (linkage.slack, UNLIMITED_LENGTH), unlimited, 0.0, False, 0.0))
+        way = (linkage.turn * linkage.curve[0], linkage.turn * linkage.curve[1])
+        curves.append(Curve(driven, pad, way, linkage.hold))
+    return tuple(stops), tuple(curves)
 
 
 def _carriers(model: mujoco.MjModel, slot_of: dict[int, int], welded: dict[int, int], flange_slot: int) -> dict[int, int]:
@@ -447,12 +463,15 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
     if not np.allclose(data.site_xmat[site.id], np.eye(3).ravel(), atol=1e-4):
         raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")
     follows = float(slot_of.get(int(model.body_jntadr[model.site_bodyid[site.id]]), -1) == 0)
-    couplings = _couplings(model, slot_of, joints)
+    couplings, curves = _couplings(model, slot_of, joints), ()
     if robot.gripper.four_bar:
-        couplings = _equivalent_linkage(model, np.array(data.qpos), robot, joints, index)
+        signs = {role: joints[index[role]].sign for role in robot.gripper.joints}
+        linkages = equivalent_linkages(model, data, robot, signs, np.array(data.site(GRIP_SITE).xpos))
+        couplings, curves = _open_chains(linkages, joints, index)
     limits = np.zeros(arm_size)
     limits[list(arm)] = [model.actuator_ctrlrange[a, 1] for a in range(len(arm))]
-    return System(robot, tuple(joints), shapes, couplings, limits, follows, np.array(data.site_xpos[site.id])), meshes
+    origin = np.array(data.site_xpos[site.id])
+    return System(robot, tuple(joints), shapes, couplings, curves, limits, follows, origin), meshes
 
 
 def _welded(screw: Screw) -> Joint:

@@ -18,6 +18,7 @@ from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, become_box, clamp, jaws_meet
 from toolkit.morphology.matching import Matching, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
@@ -28,18 +29,12 @@ COMMANDS = tuple(np.linspace(-1.0, 1.0, 9))
 """Closing commands at which pads are compared."""
 SETTLING = 1.0
 """Time [s] at each closing command before pads are compared."""
-BOX_HALF_SIZE = np.array([0.04, 0.025, 0.025])
-"""Half extents [m] of the box for the pad force: 5 cm between the pads."""
-CLOSING_STEPS, CLOSING_STEP = 10, 0.05
-"""Steps, and seconds each, in which a gripper closes on the box: robosuite's rate for its two-jaw grippers."""
+WIDTH = 0.05
+"""Width [m] of the box for the pad force, between the pads."""
 SQUEEZE, AVERAGED = 1.5, 0.1
 """Time [s] from the full closing command to the pad force, and the last part of it over which the force is averaged."""
-SLIPPERY = 1e-3
-"""Friction coefficient on the box: with more, the stall depends on how the fingers came to stick."""
 PAD_FINGERS = ("FF", "TH", "RF")
 """Fingers whose pads are compared, where the robot has them."""
-CLAMP = 1e6
-"""Armature [kg, kg m^2] and damping [N s/m, N m s/rad] that hold an arm, and the box of the pad force, still."""
 START_SEED = 0
 
 
@@ -52,7 +47,7 @@ class Side:
         arm: joint ids from base to flange.
         fingers: actuator ids, in the order of the plant's command law.
         pads: finger -> geom id of its outermost pad: the last primitive on the finger's last link.
-        jaws: (bodies of the thumb, bodies of the other fingers).
+        jaws: masks (nbody,) of the bodies of the thumb and of the other fingers.
         item: body id of the object.
     """
 
@@ -61,14 +56,13 @@ class Side:
     arm: list[int]
     fingers: list[int]
     pads: dict[str, int]
-    jaws: tuple[set[int], set[int]]
+    jaws: tuple[np.ndarray, np.ndarray]
     item: int
 
     def clamped(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A copy at the start with the arm held still, to be stepped without touching the plant."""
         model = copy.copy(self.plant.model)
-        dofs = model.jnt_dofadr[self.arm]
-        model.dof_armature[dofs], model.dof_damping[dofs] = CLAMP, CLAMP
+        clamp(model, model.jnt_dofadr[self.arm])
         data = mujoco.MjData(model)
         data.qpos[:] = self.plant.data.qpos
         return model, data
@@ -81,11 +75,9 @@ class Side:
 
     def close_until_jaws_meet(self, model: mujoco.MjModel, data: mujoco.MjData, command: float, seconds: float) -> bool:
         """As ``close_to``; stops and returns True as soon as the thumb touches another finger."""
-        thumb, others = self.jaws
         for _ in range(int(round(seconds / model.opt.timestep))):
             self.close_to(model, data, command, model.opt.timestep)
-            pairs = [{int(model.geom_bodyid[c.geom1]), int(model.geom_bodyid[c.geom2])} for c in data.contact]
-            if any(pair & thumb and pair & others for pair in pairs):
+            if jaws_meet(model, data, self.jaws):
                 return True
         return False
 
@@ -124,10 +116,9 @@ def _native_side(robot: Robot, task: PickTask) -> Side:
         ]  # fmt: skip
         if geoms:
             pads[finger] = geoms[-1]
-    jaws = (
-        {body for role, body in body_of.items() if role.startswith("TH")},
-        {body for role, body in body_of.items() if not role.startswith("TH")},
-    )
+    thumb = [body for role, body in body_of.items() if role.startswith("TH")]
+    others = [body for role, body in body_of.items() if not role.startswith("TH")]
+    jaws = (np.isin(np.arange(model.nbody), thumb), np.isin(np.arange(model.nbody), others))
     fingers = [actuators[role] for role in robot.gripper.targets]
     item = int(model.body(plant.env.item.root_body).id)
     return Side(plant, model.site(GRIP_SITE).id, arm_joints(model), fingers, pads, jaws, item)
@@ -163,7 +154,7 @@ def _merged_side(merged: MergedRobot, index: int) -> Side:
     system = matching.systems[index]
     arm = [model.joint(slot.name).id for i, slot in enumerate(matching.slots[: matching.arm_size]) if system.present(i)]
     fingers = [model.actuator(slot.name).id for slot in matching.slots if slot.name in ROLE_COMMAND]
-    never_meet: tuple[set[int], set[int]] = (set(), set())
+    never_meet = (np.zeros(model.nbody, bool),) * 2
     return Side(plant, model.site("grasp").id, arm, fingers, pads, never_meet, model.body("object").id)
 
 
@@ -257,21 +248,16 @@ def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
     return position, angle
 
 
-def squeeze(side: Side) -> float:
-    """Stall force [N]: sum of the normal contact forces on a box 5 cm wide, 1.5 s after the full closing command.
+def squeeze(side: Side, width: float = WIDTH) -> float:
+    """Stall force [N]: sum of the normal contact forces on a box ``width`` [m] wide, 1.5 s after the full closing command.
 
     The box is fixed in the grasp frame's origin, its narrow side along the closing axis, and nearly without friction,
     so that the stall is one state and not one of many. The arm is held still and nothing weighs anything. The gripper
     closes from its start within 0.5 s, whatever its own rate. Meshes of the robosuite gripper that touch the box count.
     """
     model, data = side.clamped()
-    model.opt.gravity[:] = 0.0
-    _become_box(model, side.item)
-    joint = int(model.body_jntadr[side.item])
-    dofs = model.jnt_dofadr[joint] + np.arange(6)
-    model.dof_armature[dofs], model.dof_damping[dofs] = CLAMP, CLAMP
-    model.geom_friction[:] = SLIPPERY
-    address = int(model.jnt_qposadr[joint])
+    become_box(model, side.item, width)
+    address = int(model.jnt_qposadr[model.body_jntadr[side.item]])
     data.qpos[address : address + 7] = (*side.plant.data.site_xpos[side.site], 1.0, 0.0, 0.0, 0.0)
     start = side.plant.law.preshape
     for command in np.linspace(start, 1.0, CLOSING_STEPS + 1)[1:]:
@@ -282,16 +268,6 @@ def squeeze(side: Side) -> float:
         mujoco.mj_step(model, data)
         samples.append(_force_on(model, data, side.item))
     return float(np.mean(samples))
-
-
-def _become_box(model: mujoco.MjModel, body: int) -> None:
-    geoms = np.flatnonzero(model.geom_bodyid == body)
-    model.geom_type[geoms] = mujoco.mjtGeom.mjGEOM_BOX
-    model.geom_size[geoms] = BOX_HALF_SIZE
-    model.geom_rbound[geoms] = np.linalg.norm(BOX_HALF_SIZE)
-    model.geom_aabb[geoms] = (0.0, 0.0, 0.0, *BOX_HALF_SIZE)
-    nodes = np.arange(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
-    model.bvh_aabb[nodes, 3:] = 2.0 * BOX_HALF_SIZE.max()  # loose: only the broad phase looks at it
 
 
 def _force_on(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:

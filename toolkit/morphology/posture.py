@@ -1,6 +1,5 @@
 """Start postures: every robot's grasp frame begins an episode at the same pose over the table (solved with mink)."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import mink
@@ -126,60 +125,6 @@ def _settle_gripper(model: mujoco.MjModel, qpos: np.ndarray, robot: Robot) -> tu
         mujoco.mj_step(model, data)
     data.qpos[arm_q] = qpos[arm_q]
     return np.array(data.qpos), np.array(data.ctrl)
-
-
-@dataclass(frozen=True)
-class Closing:
-    """A gripper closing in free air with the arm held still, one row per simulation step.
-
-    Attributes:
-        angles: role -> (n,) [rad], the gripper's own joint coordinates.
-        speeds: role -> (n,) [rad/s].
-        targets: role -> (n,) [rad], for the driven roles.
-    """
-
-    angles: dict[str, np.ndarray]
-    speeds: dict[str, np.ndarray]
-    targets: dict[str, np.ndarray]
-
-
-def close_in_air(model: mujoco.MjModel, start: np.ndarray, robot: Robot) -> Closing:
-    """Drive a gripper from its start ``start`` (nq,) towards closed at its own rate until its jaws meet."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = start
-    arm = arm_joints(model)
-    arm_q, arm_v = model.jnt_qposadr[arm], model.jnt_dofadr[arm]
-    joints, actuators = role_joints(model, robot), role_actuators(model, robot)
-    thumb = {model.jnt_bodyid[joint] for role, joint in joints.items() if role.startswith("TH")}
-    fingers = {model.jnt_bodyid[joint] for role, joint in joints.items() if not role.startswith("TH")}
-    free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
-    rows: list[tuple[list[float], list[float], list[float]]] = []
-    per_command = int(round(0.05 / model.opt.timestep))
-    steps = int(per_command * (1.0 - robot.gripper.preshape) / robot.gripper.rate) + 10 * per_command
-    for step in range(steps):
-        command = min(1.0, robot.gripper.preshape + robot.gripper.rate * (1 + step // per_command))
-        wanted = {role: target_at(robot, role, command) for role in actuators}
-        for role, actuator in actuators.items():
-            data.ctrl[actuator] = wanted[role]
-        for joint in free:
-            data.qpos[model.jnt_qposadr[joint] : model.jnt_qposadr[joint] + 3] = (3.0, 3.0, 3.0)
-        data.qpos[arm_q], data.qvel[arm_v] = start[arm_q], 0.0
-        mujoco.mj_step(model, data)
-        bodies = [{int(model.geom_bodyid[c.geom1]), int(model.geom_bodyid[c.geom2])} for c in data.contact]
-        if any(pair & thumb and pair & fingers for pair in bodies):
-            break
-        rows.append(
-            (
-                [data.qpos[model.jnt_qposadr[j]] for j in joints.values()],
-                [data.qvel[model.jnt_dofadr[j]] for j in joints.values()],
-                list(wanted.values()),
-            )
-        )
-    angles, speeds, targets = (np.array(column) for column in zip(*rows, strict=True))
-    return Closing(
-        dict(zip(joints, angles.T, strict=True)), dict(zip(joints, speeds.T, strict=True)),
-        dict(zip(actuators, targets.T, strict=True)),
-    )  # fmt: skip
 
 
 def _nominal_task() -> PickTask:

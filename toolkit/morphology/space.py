@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
-from toolkit.morphology.matching import UNLIMITED_LENGTH, Coupling, Matching, Shape, System
+from toolkit.morphology.matching import UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
 
 FROZEN_STIFFNESS = 200.0
 """Spring [N m/rad] that holds a frozen joint: 0.1 N m at a fingertip moves it by half a milliradian."""
@@ -204,6 +204,28 @@ def _coupling_slots(matching: Matching) -> list[CouplingSlot]:
     return out
 
 
+@dataclass(frozen=True)
+class CurveSlot:
+    """A finger of the merged robot whose pad joint (a slot) may follow its driven joint (a slot)."""
+
+    name: str
+    element: str
+    driven: int
+    pad: int
+    owners: tuple[Curve | None, ...]
+
+
+def _curve_slots(matching: Matching) -> list[CurveSlot]:
+    table: dict[tuple[int, int], list[Curve | None]] = {}
+    for robot, system in enumerate(matching.systems):
+        for curve in system.curves:
+            table.setdefault((curve.driven, curve.pad), [None] * len(matching.systems))[robot] = curve
+    return [
+        CurveSlot(f"{matching.slots[pad].name}/curve", matching.slots[pad].element, driven, pad, tuple(owners))
+        for (driven, pad), owners in sorted(table.items())
+    ]
+
+
 class EvolutionSpace:
     """Named parameters of a set of robots and the map alpha -> theta.
 
@@ -221,6 +243,7 @@ class EvolutionSpace:
         self.matching = matching
         self.shape_slots = _shape_slots(matching)
         self.coupling_slots = _coupling_slots(matching)
+        self.curve_slots = _curve_slots(matching)
         self.axis_references = self._axis_references()
         self.axis_bases = np.array([tangent_basis(reference) for reference in self.axis_references])
         self.fields = {f.name: f for f in self._fields()}
@@ -251,11 +274,11 @@ class EvolutionSpace:
     def _slot_field(
         self, name: str, unit: str, components: Sequence[str], get: Callable, absent: Sequence[float] | None = None
     ) -> Field:
-        """A field over the slots: ``get(joint, slot)`` where present; absent joints read ``absent`` or borrow."""
+        """A field over the slots: ``get(joint, slot)`` where present; absent or None, they read ``absent`` or borrow."""
         rows = []
         for index in range(len(self.matching.slots)):
-            owned = [None if s.joints[index] is None else np.atleast_1d(get(s.joints[index], index)).astype(float)
-                     for s in self.matching.systems]  # fmt: skip
+            read = [None if s.joints[index] is None else get(s.joints[index], index) for s in self.matching.systems]
+            owned = [None if value is None else np.atleast_1d(value).astype(float) for value in read]
             if absent is not None:
                 rows.append(np.array([np.array(absent, float) if row is None else row for row in owned]))
             elif all(row is None for row in owned):
@@ -267,7 +290,8 @@ class EvolutionSpace:
                      np.stack(rows, axis=1))  # fmt: skip
 
     def _fields(self) -> list[Field]:
-        return [*self._joint_fields(), *self._shape_fields(), *self._coupling_fields(), *self._control_fields()]
+        return [*self._joint_fields(), *self._shape_fields(), *self._coupling_fields(), *self._curve_fields(),
+                *self._control_fields()]
 
     def _joint_fields(self) -> list[Field]:
         xyz = ("x", "y", "z")
@@ -286,6 +310,9 @@ class EvolutionSpace:
             slot_field("armature", "kg m^2", ("",), lambda j, i: j.armature),
             slot_field("friction_loss", "N m", ("",), lambda j, i: j.friction_loss, absent=[0.0]),
             slot_field("limit_margin", "rad", ("",), lambda j, i: j.margin),
+            slot_field("spring", "N m/rad", ("",), lambda j, i: j.spring, absent=[0.0]),
+            slot_field("spring_quadratic", "N m/rad^2", ("",), lambda j, i: j.spring_quadratic, absent=[0.0]),
+            slot_field("spring_rest", "rad", ("",), lambda j, i: j.spring_rest),
             slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
             slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit),
             slot_field("target", "rad", ("open", "closed"), lambda j, i: (j.target_open, j.target_closed)),
@@ -293,14 +320,15 @@ class EvolutionSpace:
 
     def _item_field(self, name: str, unit: str, components: Sequence[str], items: Sequence, get: Callable,
                     absent: float | tuple[float, ...] | None = None) -> Field:  # fmt: skip
-        """A field over shape or coupling slots."""
+        """A field over shape, coupling or curve slots."""
         rows = []
         for item in items:
             owned = [None if owner is None else np.atleast_1d(get(owner, item)).astype(float) for owner in item.owners]
             if absent is not None:
                 owned = [np.zeros(len(components)) + absent if row is None else row for row in owned]
             rows.append(_borrowed(owned))
-        elements = [item.element if isinstance(item, CouplingSlot) else self.matching.slots[item.slot].element for item in items]
+        slots = self.matching.slots
+        elements = [slots[item.slot].element if isinstance(item, ShapeSlot) else item.element for item in items]
         values = np.stack(rows, axis=1) if rows else np.zeros((len(self.matching.systems), 0, len(components)))
         return Field(name, tuple(item.name for item in items), tuple(elements), tuple(components), unit, values)
 
@@ -355,13 +383,20 @@ class EvolutionSpace:
         return [
             self._item_field("coupling", "1", tuple(f"c{i}" for i in range(width)), couplings, coefficients),
             self._item_field("coupling_stiffness", "N/m", ("",), couplings, lambda o, _: o.stiffness, absent=0.0),
-            self._item_field("coupling_rest", "m", ("",), couplings, lambda o, _: o.rest),
+            self._item_field("coupling_slack", "m", ("low", "width"), couplings, lambda o, _: o.slack),
             self._item_field("coupling_limits", "m", ("low", "high"), couplings, lambda o, _: o.limits,
                              absent=(-UNLIMITED_LENGTH, UNLIMITED_LENGTH)),
             self._item_field("coupling_friction", "N", ("",), couplings, lambda o, _: o.friction_loss, absent=0.0),
             self._item_field("coupling_held", "1", ("",), couplings, lambda o, _: float(o.held), absent=0.0),
             self._item_field("coupling_length", "m", ("",), couplings, lambda o, _: o.held_length),
         ]  # fmt: skip
+
+    def _curve_fields(self) -> list[Field]:
+        curves = self.curve_slots
+        return [
+            self._item_field("curve", "1, 1/rad", ("c1", "c2"), curves, lambda o, _: o.coefficients),
+            self._item_field("curve_stiffness", "N m/rad", ("",), curves, lambda o, _: o.stiffness, absent=0.0),
+        ]
 
     def _control_fields(self) -> list[Field]:
         systems = self.matching.systems
