@@ -23,6 +23,7 @@ class Robot:
             with; overrides what the geometry proposes. Empty for most arms.
         source_of_policy: True for a robot that experts are trained on.
         datasheet: where the arm's numbers come from.
+        joint_speeds: highest joint speeds [rad/s] of the real arm, base to flange; None: not known. robosuite has none.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Robot:
     source_of_policy: bool = False
     arm_friction: Mapping[str, float] = field(default_factory=dict)
     arm_roles: Mapping[str, str] = field(default_factory=dict)
+    joint_speeds: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():

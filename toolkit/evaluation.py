@@ -17,6 +17,8 @@ from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
 from toolkit.bundle import Bundle, load_bundle
+from toolkit.datasheet import model_sha256
+from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
@@ -218,10 +220,20 @@ def _play_natively(job: tuple[Robot, PickTask, GaussianPolicy | Path, int]) -> b
     if isinstance(policy, Path):
         if policy not in _bundles:
             _bundles[policy] = load_bundle(policy)
+            _same_model(_bundles[policy], _robots[key])
         return _robots[key].play(_bundles[policy], seed, native=True)
     return _robots[key].play(policy.mean, seed)
 
 
+def _same_model(bundle: Bundle, native: NativeRobot) -> None:
+    """Refuse a bundle whose robot is not the one that robosuite has here."""
+    wanted, found = bundle.manifest.robot.model_sha256, model_sha256(native.model)
+    if wanted != found:
+        versions = bundle.manifest.versions
+        raise ToolkitError(
+            f"robot {native.robot.name!r} is not the model that bundle {bundle.path} was made on (digest {found[:12]}..., not "
+            f"{wanted[:12]}...); it was made with robosuite {versions.get('robosuite')} and mujoco {versions.get('mujoco')}"
+        )
 
 
 def evaluate_native(

@@ -205,23 +205,28 @@ def load_onnx(path: str | Path) -> OnnxPolicy:
     path = Path(path)
     if not path.is_file():
         raise ToolkitError(f"{path} does not exist; give the path of an exported policy.")
+    return onnx_from_bytes(path.read_bytes(), str(path))
+
+
+def onnx_from_bytes(content: bytes, where: str) -> OnnxPolicy:
+    """As `load_onnx`, from a file's content; ``where`` names it in messages."""
     options = onnxruntime.SessionOptions()
     # A few thousand products per call: a second thread would cost more than it does, and spin between calls.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except _LOAD_ERRORS as error:
-        raise ToolkitError(f"{path} is damaged or is not ONNX ({error}); export the policy again.") from error
+        raise ToolkitError(f"{where} is damaged or is not ONNX ({error}); export the policy again.") from error
     text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
     entries = [*session.get_inputs(), *session.get_outputs()]
     plain = all(entry.type == "tensor(float)" and [type(n) for n in entry.shape] == [int] for entry in entries)
     if text is None or not plain or [entry.name for entry in session.get_outputs()] != ["action"]:
-        raise ToolkitError(f"{path} is ONNX, but not an exported policy; give a file that export_onnx wrote.")
+        raise ToolkitError(f"{where} is ONNX, but not an exported policy; give a file that export_onnx wrote.")
     try:
         metadata = json.loads(text)
     except ValueError as error:
-        raise ToolkitError(f"{path} has broken metadata ({error}); export the policy again.") from error
+        raise ToolkitError(f"{where} has broken metadata ({error}); export the policy again.") from error
     return OnnxPolicy(session, metadata)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import tyro
 
 from toolkit.cli.benchmarks import bench
-from toolkit.cli.deployment import export
+from toolkit.cli.deployment import deploy, export, twin
 from toolkit.cli.inspection import doctor, view
 from toolkit.cli.judging import evaluate, verify
 from toolkit.cli.systems import match, robots
@@ -16,7 +16,7 @@ from toolkit.errors import ToolkitError
 from toolkit.quiet import silence_robosuite
 
 app = tyro.extras.SubcommandApp()
-for command in (robots, match, tree, expert, transfer, evaluate, view, export, verify, doctor):
+for command in (robots, match, tree, expert, transfer, evaluate, view, export, verify, deploy, twin, doctor):
     app.command(command)
 app.command(bench, name="bench", help="Measure the toolkit itself.")
 

@@ -1,25 +1,238 @@
-"""export: a policy leaves the toolkit."""
+"""export, deploy, twin: a policy leaves the toolkit."""
 
+import sys
+from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from toolkit.cli.names import find_robot, find_task, trained_policies
-from toolkit.cli.terminal import emit
+from toolkit.cli.terminal import Progress, emit
+from toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    import subprocess
+
+    from toolkit.bundle import Bundle
+    from toolkit.deploy.drivers.sim import SimDriver
+    from toolkit.manifest import Lineage, Success
+
+FormName = Literal["osc", "pose", "joint"]
+PaceName = Literal["real", "lockstep"]
+
+LABEL_EPISODES = 40
 
 
 def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, json: bool = False) -> None:
-    """Write a target's policy as an ONNX bundle: named observations in, robosuite's own action out.
+    """Write a target's policy as a bundle, a folder and a .zip: named observations in, robosuite's own action out.
 
     Args:
         run: a run folder.
         target: which target.
-        out: folder of the bundle; made if needed.
+        out: folder of the bundle; made if needed. The .zip lies beside it.
         json: print the manifest.
     """
     content, policies = trained_policies(run, target)
-    from toolkit.bundle import write_bundle
+    from toolkit.packing import write_bundle
 
-    manifest = write_bundle(policies[target], find_robot(target), find_task(content["task"]), content, out)
-    emit(manifest, json, f"{out}: policy.onnx, manifest.json; ONNX against NumPy {manifest['onnx_max_abs_error']:.1e}")
+    robot, task = find_robot(target), find_task(content["task"])
+    with Progress("export", quiet=json) as progress:
+        label = _label(run, target, robot, task, policies[target], progress)
+        manifest = write_bundle(policies[target], robot, task, content, _lineage(run, target), label, out,
+                                lambda what: progress.show(f"export {target}", what, now=True))  # fmt: skip
+    emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
+                                   f"meta-evolve verify {out}")  # fmt: skip
+
+
+def deploy(
+    bundle: Annotated[str, tyro.conf.Positional],
+    driver: Literal["sim"] = "sim",
+    episodes: int = 10,
+    seed: int = 0,
+    form: FormName = "osc",
+    pace: PaceName = "real",
+    connect: str | None = None,
+    log: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Move an arm with a bundle, through the safety filter. The arm is the twin: robosuite's robot in a process of its own.
+
+    This side needs neither torch nor robosuite. The twin starts by itself, or beforehand, perhaps in another environment or
+    on another machine, with: meta-evolve twin BUNDLE. Real arms are driven from a few lines of Python: docs/deploy.md.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle.
+        driver: which arm.
+        episodes: how many.
+        seed: shifts the episodes' starts; they are those of evaluate and verify.
+        form: of the commands: osc (robosuite's own deltas), pose (poses in the base frame), joint (angles, through mink).
+        pace: real (the twin's physics follows the clock) or lockstep (it waits for each command; repeatable).
+        connect: HOST:PORT of a twin that already runs.
+        log: file for one JSON line per tick; look at it with: meta-evolve view FILE.
+        json: print one JSON object.
+    """
+    if episodes < 1 or seed < 0:
+        raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
+    from toolkit.bundle import load_bundle
+    from toolkit.deploy.drivers.sim import SimDriver
+
+    loaded = load_bundle(bundle)
+    twin = None
+    if connect is None:
+        twin, port = _start_twin(bundle, pace)
+        arm = SimDriver("127.0.0.1", port)
+    else:
+        arm = SimDriver(*_address(connect))
+    try:
+        content = _deploy(loaded, arm, episodes, seed, form, pace, log, json)
+    finally:
+        if twin is not None:
+            arm.close()
+            twin.terminate()
+            twin.wait()
+    content["driver"] = driver
+    emit(content, json, _deployed(content))
+
+
+def _deploy(
+    bundle: "Bundle", arm: "SimDriver", episodes: int, seed: int, form: FormName, pace: PaceName, log: Path | None, quiet: bool
+) -> dict[str, Any]:
+    """Play the episodes; returns what ``deploy --json`` prints, but for the driver's name."""
+    import numpy as np
+
+    from toolkit.deploy.runtime import EVALUATION_SEEDS, Runtime, TickLog, play, wilson_interval
+
+    manifest = bundle.manifest
+    runtime = Runtime(bundle, arm.connect(), form)
+    record = TickLog(log, {"robot": manifest.robot.name, "task": manifest.task.name, "form": form, "pace": pace,
+                           "policy_hz": manifest.policy_hz})  # fmt: skip
+    outcomes, behind, successes = [], 0.0, 0
+    with Progress("deploy", quiet) as progress:
+        shown = progress.count(f"{manifest.robot.name} twin", episodes)
+        for episode in range(episodes):
+            arm.begin(EVALUATION_SEEDS + seed * 10**6 + episode)
+            outcomes.append(play(runtime, arm, record, pace, episode))
+            result = arm.result()
+            successes, behind = successes + bool(result["success"]), max(behind, float(result["behind_s"]))
+            shown(episode + 1, successes)
+    record.close()
+    ticks = np.concatenate([outcome.tick_ms for outcome in outcomes] or [[]])
+    faults: Counter = sum((outcome.faults for outcome in outcomes), Counter())
+    low, high = wilson_interval(successes, episodes)
+    return {
+        "target": manifest.robot.name, "form": form, "pace": pace, "episodes": episodes, "successes": successes,
+        "success_rate": successes / episodes, "ci95": [low, high], "label": [manifest.success.successes, manifest.success.episodes],
+        "agrees": high >= manifest.success.ci95[0], "ticks": len(ticks), "held_ticks": sum(outcome.held for outcome in outcomes),
+        "faults": dict(faults), "stopped": [outcome.stopped for outcome in outcomes if outcome.stopped],
+        "late_ticks": sum(outcome.late for outcome in outcomes), "unknown_ticks": sum(outcome.warnings for outcome in outcomes),
+        "tick_ms": dict(zip(("p50", "p99", "max"), np.percentile(ticks, [50, 99, 100]).tolist(), strict=True)) if len(ticks) else None,
+        "twin_behind_s": behind, "log": str(log) if log else None,
+    }  # fmt: skip
+
+
+def _deployed(content: dict[str, Any]) -> str:
+    """The result for people."""
+    low, high = content["ci95"]
+    lines = [f"{content['target']} twin, {content['form']} commands, {content['pace']}: {content['successes']} of {content['episodes']} "
+             f"(95 %: {low:.2f} to {high:.2f}); label {content['label'][0]} of {content['label'][1]}: "
+             f"{'agrees' if content['agrees'] else 'DISAGREES'}"]  # fmt: skip
+    if content["tick_ms"]:
+        lines.append("tick {p50:.2f} ms (99 %: {p99:.2f}, longest {max:.2f})".format(**content["tick_ms"])
+                     + f"; {content['late_ticks']} of {content['ticks']} ticks late, {content['held_ticks']} held")  # fmt: skip
+    lines += [f"stopped: {reason}" for reason in content["stopped"]]
+    if content["log"]:
+        lines.append(f"log: {content['log']}; look at it with: meta-evolve view {content['log']}")
+    return "\n".join(lines)
+
+
+def _start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
+    """A twin in a process of its own, and the port on which it listens."""
+    import subprocess
+
+    command = [sys.executable, "-m", "toolkit.cli", "twin", bundle, "--pace", pace]
+    twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    line = twin.stdout.readline()
+    if not line.startswith("twin of "):
+        twin.wait()
+        raise ToolkitError("the twin did not start (see above); it needs robosuite: install all of meta-evolve, or give --connect")
+    return twin, int(line.rsplit(":", 1)[1])
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit():
+        raise ToolkitError(f"--connect {text} is no HOST:PORT, such as 127.0.0.1:5005")
+    return host, int(port)
+
+
+def twin(
+    bundle: Annotated[str, tyro.conf.Positional], port: int = 0, host: str = "127.0.0.1", pace: PaceName = "real"
+) -> None:
+    """Serve the unmodified robosuite robot of a bundle as an arm on a socket, until the runtime closes it.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle; names robot and task.
+        port: to listen on; 0: any free one, which is printed.
+        host: address to listen on; whoever reaches it can move the simulated robot, and nothing else.
+        pace: real (physics follows the clock) or lockstep (it waits for each command).
+    """
+    import socket
+
+    from toolkit.bundle import load_bundle
+
+    manifest = load_bundle(bundle).manifest
+    robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
+    from toolkit.twin import Twin, serve
+
+    served = Twin(robot, task, pace)
+    try:
+        listener = socket.create_server((host, port))
+    except OSError as error:
+        raise ToolkitError(f"port {port} of {host} cannot be listened on ({error.strerror}); choose another --port") from None
+    with listener:
+        print(f"twin of {robot.name} at {host}:{listener.getsockname()[1]}", flush=True)
+        serve(served, listener)
+
+
+def _lineage(run: Path, target: str) -> "Lineage":
+    from toolkit.manifest import Lineage
+
+    tree = _json(run / "tree.json", "it is written when a transfer begins")
+    report = _json(run / "report.json", "finish it with --resume") if (run / "report.json").is_file() else {}
+    alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
+    if alpha is None:
+        raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
+    route = next((names for names in report.get("routes", {}).values() if names and names[-1] == target), [target])
+    totals = report.get("totals", {})
+    return Lineage(
+        source=next(node["name"] for node in tree["nodes"] if node["kind"] == "source"), route=tuple(route),
+        alpha=tuple(map(float, alpha)), kind=tree["kind"], metric=tree["metric"],
+        train_iterations=int(totals.get("train_iterations", 0)), sim_epochs=int(totals.get("sim_epochs", 0)),
+    )  # fmt: skip
+
+
+def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
+    """Success as the run's report has it, or measured now."""
+    from toolkit.manifest import Success
+
+    report = _json(run / "report.json", "") if (run / "report.json").is_file() else {}
+    found = report.get("targets", {}).get(target, {}).get("native")
+    measured = "by the run that trained it, through robosuite's own step"
+    if found is None:
+        from toolkit.evaluation import evaluate_native
+
+        counter = progress.count(f"{target} native", LABEL_EPISODES)
+        found = evaluate_native(policy, robot, task, LABEL_EPISODES, progress=counter).to_json()
+        measured = "at export, through robosuite's own step"
+    return Success(found["episodes"], found["successes"], float(found["success_rate"]), tuple(map(float, found["ci95"])), found["seed"],
+                   measured)  # fmt: skip
+
+
+def _json(path: Path, mend: str) -> dict[str, Any]:
+    import json as json_module
+
+    try:
+        return json_module.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ToolkitError(f"{path} cannot be read ({error}); {mend}") from None

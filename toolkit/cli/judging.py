@@ -36,8 +36,8 @@ def evaluate(
     from toolkit.evaluation import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
-    if (Path(run) / "manifest.json").is_file() or run.endswith(".zip"):
-        result = bundle_success(Path(run), episodes, seed, quiet=json)
+    if is_bundle(run):
+        result = bundle_success(run, episodes, seed, quiet=json)
         emit(result.to_json(), json, sentence(result))
         return
     content, policies = trained_policies(Path(run), target)
@@ -57,23 +57,48 @@ def evaluate(
         print(sentence(result))
 
 
-def verify(bundle: Annotated[Path, tyro.conf.Positional], episodes: int = 50, seed: int = 0, json: bool = False) -> None:
-    """Prove a bundle: golden vectors, limits under wild observations, and success on the unmodified robot.
+def is_bundle(name: str) -> bool:
+    """Whether a name is a bundle's rather than a run folder's: by its manifest, its .zip, or as shipped."""
+    path = Path(name)
+    if path.exists():
+        return (path / "manifest.json").is_file() or path.suffix == ".zip"
+    from toolkit.bundle import shipped_bundles
+
+    return name in shipped_bundles() or path.suffix == ".zip"
+
+
+def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, seed: int = 0, json: bool = False) -> None:
+    """Prove a bundle: files, golden vectors, recorded episode, limits, and success on the unmodified robot against its label.
 
     Args:
-        bundle: folder or .zip.
+        bundle: folder, .zip, or the name of a shipped bundle.
         episodes: played by the ONNX graph alone through robosuite's own step.
         seed: shifts the episodes' seeds.
         json: print one JSON object.
     """
     from toolkit.bundle import check_bundle, load_bundle
+    from toolkit.deploy.runtime import replay_golden
 
-    checked = check_bundle(load_bundle(bundle))
+    loaded = load_bundle(bundle)
+    label = loaded.manifest.success
+    checked, replayed = check_bundle(loaded), replay_golden(loaded)
     result = bundle_success(bundle, episodes, seed, quiet=json)
-    content = checked | {"success_rate": result.success_rate, "ci95": list(result.ci95), "episodes": episodes}
-    limits = "kept" if checked["limits_ok"] else "BROKEN"
-    emit(content, json, f"ONNX error {checked['onnx_max_abs_error']:.1e}, limits {limits}; {sentence(result)}")
-    if not (checked["golden_ok"] and checked["limits_ok"]):
+    replay_ok = max(replayed.values()) <= checked["tolerance"]
+    success_ok = result.ci95[1] >= label.ci95[0]
+    ok = checked["golden_ok"] and checked["limits_ok"] and replay_ok and success_ok
+    content = checked | replayed | {
+        "replay_ok": replay_ok, "target": result.target, "episodes": episodes, "successes": result.successes,
+        "success_rate": result.success_rate, "ci95": list(result.ci95), "success_ok": success_ok,
+        "label": {"successes": label.successes, "episodes": label.episodes, "ci95": list(label.ci95)}, "ok": ok,
+    }  # fmt: skip
+    said = [
+        f"golden vectors: ONNX error {checked['onnx_max_abs_error']:.1e}, {'ok' if checked['golden_ok'] else 'BROKEN'}",
+        f"recorded episode through this machine's kinematics: {max(replayed.values()):.1e}, {'ok' if replay_ok else 'BROKEN'}",
+        f"limits: {'kept' if checked['limits_ok'] else 'BROKEN'}",
+        f"{sentence(result)}; label {label.successes} of {label.episodes}: {'agrees' if success_ok else 'DISAGREES'}",
+    ]
+    emit(content, json, "\n".join(said))
+    if not ok:
         raise SystemExit(1)
 
 
@@ -84,13 +109,18 @@ def sentence(result: "Evaluation") -> str:
     return f"{result.target} ({result.env}): {counts} (95 %: {low:.2f} to {high:.2f})"
 
 
-def bundle_success(path: Path, episodes: int, seed: int, quiet: bool) -> "Evaluation":
+def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluation":
     """Success of a bundle's ONNX graph alone on the unmodified robosuite robot."""
-    from toolkit.bundle import load_bundle
-    from toolkit.evaluation import evaluate_native
+    if episodes < 1 or seed < 0:
+        raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
+    from toolkit.bundle import find_bundle, load_bundle
 
+    path = find_bundle(name)
     manifest = load_bundle(path).manifest
-    name = manifest["robot"]["name"]
+    robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
+    from toolkit.evaluation import evaluate_native
+    from toolkit.packing import check_records
+
+    check_records(manifest, path)
     with Progress("evaluate", quiet) as progress:
-        counter = progress.count(f"{name} native", episodes)
-        return evaluate_native(path, find_robot(name), find_task(manifest["task"]["name"]), episodes, seed, progress=counter)
+        return evaluate_native(path, robot, task, episodes, seed, progress=progress.count(f"{robot.name} native", episodes))

@@ -1,0 +1,340 @@
+"""The runtime: one tick turns a state into a command; an episode is ticks at the policy's rate; every tick is logged.
+
+    state -> checks -> observation -> checks -> policy -> checks -> command within limits -> checks -> driver
+"""
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TextIO
+
+import numpy as np
+
+from toolkit.bundle import Bundle
+from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State, check_fit
+from toolkit.deploy.kinematics import JointSolver, Kinematics
+from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
+from toolkit.deploy.observer import Observer
+from toolkit.deploy.safety import Fault, Guard
+from toolkit.errors import ToolkitError
+
+Pace = Literal["real", "lockstep"]
+STAGES = ("read", "observe", "policy", "command", "send")
+"""Parts of a tick that the log times [ms]; the runtime's own are all but read and send, which wait for the arm."""
+
+
+EVALUATION_SEEDS = 10**9
+"""First seed of the episodes of evaluate and verify, which the twin plays again."""
+
+
+def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
+    """95 % interval of a success rate (Wilson 1927)."""
+    z, rate = 1.959963984540054, successes / episodes
+    middle = (rate + z**2 / (2 * episodes)) / (1 + z**2 / episodes)
+    half = z / (1 + z**2 / episodes) * np.sqrt(rate * (1 - rate) / episodes + z**2 / (4 * episodes**2))
+    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
+
+
+@dataclass(eq=False)
+class Tick:
+    """What one tick did.
+
+    Attributes:
+        command: what to send.
+        fault: why the arm is held, if it is.
+        stop: whether it has been held long enough to be stopped.
+        warning: entry of the observation farthest outside what training saw, if any.
+        action: (7,) of the policy; NaN before it was asked.
+        times: stage -> [s].
+    """
+
+    command: Command
+    fault: Fault | None
+    stop: bool
+    warning: str
+    action: np.ndarray
+    times: dict[str, float]
+
+
+class Runtime:
+    """A bundle ready to move an arm.
+
+    Args:
+        bundle: checked on loading.
+        info: the arm, as its driver says.
+        form: of the commands.
+        policy: in place of the bundle's own: observation (n_obs,) -> action (7,); for tests.
+
+    Raises:
+        ToolkitError: the arm does not fit the bundle; the message names what differs.
+    """
+
+    def __init__(
+        self, bundle: Bundle, info: ArmInfo, form: Form = "osc", policy: Callable[[np.ndarray], np.ndarray] | None = None
+    ) -> None:
+        manifest = bundle.manifest
+        check_fit(manifest, info, form)
+        self.manifest, self.info, self.form = manifest, info, form
+        self.policy = policy or bundle
+        kinematics = Kinematics.of(manifest, bundle.mjcf)
+        self.observer = Observer(manifest, kinematics, info)
+        self.guard = Guard(manifest, self.observer)
+        self.motion: Motion
+        if form == "joint":
+            solver = JointSolver(manifest, bundle.mjcf, bundle.golden["episode_joints"])
+            self.motion = JointMotion(manifest, kinematics, info.rate_hz, solver)
+        else:
+            self.motion = (OscMotion if form == "osc" else PoseMotion)(manifest, kinematics, info.rate_hz)
+        self.period = 1.0 / manifest.policy_hz
+        self._reached = self._held = 0
+        self._fault: Fault | None = None
+
+    def begin(self, state: State, now: float) -> Fault | None:
+        """Start an episode at a state; a fault means that the arm must not be moved."""
+        self.guard.begin()
+        self._reached = self._held = 0
+        self._fault = self.guard.start(state, now)
+        if self._fault is None:
+            self.observer(state, self.manifest.gripper.preshape)
+            self.motion.begin(self.observer.arm(state))
+        return self._fault
+
+    def tick(self, state: State | Fault, now: float, late: bool = False) -> Tick:
+        """One tick, after ``begin``; a Fault in place of a state is what kept the driver from reading one."""
+        clock = [time.perf_counter()]
+        fault = self.guard.timing(late)
+        fault = (state if isinstance(state, Fault) else self.guard.state(state, now)) or fault
+        observation, warning, action, command = None, "", np.full(len(self.manifest.action), np.nan), None
+        if fault is None:
+            observation = self.observer(state, self.motion.grip.command)
+            fault = self.guard.observation(observation)
+        clock.append(time.perf_counter())
+        if fault is None:
+            warning = self.guard.unknown(observation)
+            action = np.array(self.policy(observation), float)
+            fault = self.guard.action(action)
+        clock.append(time.perf_counter())
+        if fault is None and (self._fault is None or self._fault.passing):
+            command = self.motion.advance(action, self.observer.arm(state))
+            fault = self.guard.command(command, self.motion)
+            if fault is not None:
+                self.motion.undo()
+        self._fault = self._fault if self._fault is not None and not self._fault.passing else fault
+        if self._fault is not None:
+            command = self.motion.hold()
+            self._held += 1
+        else:
+            self._held = 0
+            self._count_goal(observation)
+        clock.append(time.perf_counter())
+        times = dict(zip(STAGES[1:4], np.diff(clock).tolist(), strict=True))
+        return Tick(command, self._fault, self._held > self.manifest.watch.hold_ticks, warning, action, times)
+
+    def _count_goal(self, observation: np.ndarray) -> None:
+        goal = observation[-3:] if self.manifest.observation[-1].name == "goal_from_object" else np.full(3, np.inf)
+        near = float(np.linalg.norm(goal)) < self.manifest.task.goal_tolerance_m
+        self._reached = self._reached + 1 if near else 0
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the object has been at the goal for the task's hold_steps, as far as the runtime sees."""
+        return self._reached >= self.manifest.task.hold_steps
+
+
+# ---- an episode ------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Outcome:
+    """How an episode went.
+
+    Attributes:
+        success: the task was done.
+        ticks: played.
+        stopped: why the arm was stopped; empty if it was not.
+        held: ticks in which the arm was held.  faults: kind -> ticks.
+        late: ticks that ended after their period.
+        warnings: ticks with an observation outside what training saw.
+        tick_ms: (ticks,) the runtime's own time per tick.
+    """
+
+    success: bool = False
+    ticks: int = 0
+    stopped: str = ""
+    held: int = 0
+    faults: Counter = field(default_factory=Counter)
+    late: int = 0
+    warnings: int = 0
+    tick_ms: list[float] = field(default_factory=list)
+
+
+def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", episode: int = 0) -> Outcome:
+    """One episode, from the start check to success, a stop, or the horizon.
+
+    Args:
+        runtime: of the bundle.
+        driver: connected, its arm at the start.
+        log: told of every tick.
+        pace: "real": a tick starts every policy period by the clock; "lockstep": as soon as the last one has ended, for a
+            simulation that waits.
+        episode: number for the log.
+    """
+    outcome = Outcome()
+    first = _read(driver)
+    fault = first if isinstance(first, Fault) else runtime.begin(first, time.monotonic())
+    if fault is not None:
+        outcome.stopped, outcome.faults = f"{fault.kind}: {fault.detail}", Counter([fault.kind])
+        driver.stop(outcome.stopped)
+        log.note(episode, "stop", outcome.stopped)
+        return outcome
+    due, late = time.monotonic(), False
+    try:
+        for number in range(runtime.manifest.task.horizon_steps + runtime.manifest.watch.hold_ticks):
+            began = time.perf_counter()
+            state = _read(driver)
+            read = time.perf_counter() - began
+            tick = runtime.tick(state, time.monotonic(), late)
+            sending = time.perf_counter()
+            sent = _send(driver, tick.command)
+            tick.times |= {"read": read, "send": time.perf_counter() - sending}
+            due += runtime.period
+            late = pace == "real" and time.monotonic() > due
+            _count(outcome, tick, late)
+            log.tick(episode, number, state, tick, sent, late)
+            if isinstance(sent, Fault):
+                outcome.stopped = f"{sent.kind}: {sent.detail}"
+            elif tick.stop:
+                outcome.stopped = f"{tick.fault.kind}: {tick.fault.detail}"
+            told = "" if isinstance(state, Fault) else state.outcome
+            outcome.success = told == "success" or (not told and runtime.succeeded)
+            if outcome.stopped or outcome.success:
+                break
+            if late:
+                due = max(due, time.monotonic())  # what was missed is not made up in a hurry
+            elif pace == "real":
+                time.sleep(max(0.0, due - time.monotonic()))
+    except BaseException:
+        driver.stop("interrupted")
+        raise
+    if outcome.stopped:
+        driver.stop(outcome.stopped)
+        log.note(episode, "stop", outcome.stopped)
+    return outcome
+
+
+def _count(outcome: Outcome, tick: Tick, late: bool) -> None:
+    outcome.ticks += 1
+    outcome.late += late
+    outcome.warnings += bool(tick.warning)
+    outcome.tick_ms.append(1e3 * sum(tick.times[stage] for stage in STAGES[1:4]))
+    if tick.fault is not None:
+        outcome.held += 1
+        outcome.faults[tick.fault.kind] += 1
+
+
+def _read(driver: Driver) -> State | Fault:
+    try:
+        return driver.read()
+    except (OSError, ToolkitError, RuntimeError) as error:
+        return Fault("driver", f"the state could not be read ({error})")
+
+
+def _send(driver: Driver, command: Command) -> Command | Fault:
+    try:
+        return driver.send(command)
+    except (OSError, ToolkitError, RuntimeError) as error:
+        return Fault("driver", f"the command could not be sent ({error})")
+
+
+# ---- the log ---------------------------------------------------------------------------------------------------------
+
+LOG_FORMAT = "meta-evolve deployment log"
+
+
+class TickLog:
+    """One JSON line per tick, after a first line that says what is logged; constant memory.
+
+    Args:
+        path: file, begun anew; None: nothing is written.
+        about: for the first line.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path | None, about: dict[str, Any]) -> None:
+        self.path = path
+        self._file: TextIO | None = None
+        if path is None:
+            return
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise ToolkitError(f"the log {path} cannot be written ({error.strerror}); choose another --log") from error
+        self._write({"format": LOG_FORMAT, "version": 1, "times": "ms", **about})
+
+    def tick(self, episode: int, number: int, state: State | Fault, tick: Tick, sent: Command | Fault, late: bool) -> None:
+        """A line for one tick."""
+        if self._file is None:
+            return
+        row: dict[str, Any] = {"episode": episode, "tick": number, "t": time.monotonic(), "late": late, "hold": tick.command.hold}
+        row |= {f"{stage}_ms": round(1e3 * tick.times[stage], 4) for stage in STAGES}
+        if isinstance(state, State):
+            row |= {"age_ms": round(1e3 * (row["t"] - state.stamp), 3), "joints": _listed(state.joints),
+                    "object": _listed(state.object_position)}  # fmt: skip
+        row |= {"action": _listed(tick.action), "target": _listed(tick.command.target), "opening": round(tick.command.opening, 5)}
+        if isinstance(sent, Command) and sent is not tick.command:
+            row["sent"] = _listed(sent.target)
+        if tick.fault is not None:
+            row["fault"], row["detail"] = tick.fault.kind, tick.fault.detail
+        if tick.warning:
+            row["unknown"] = tick.warning
+        self._write(row)
+
+    def note(self, episode: int, what: str, text: str) -> None:
+        """A line that is no tick."""
+        if self._file is not None:
+            self._write({"episode": episode, what: text})
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _write(self, row: dict[str, Any]) -> None:
+        self._file.write(json.dumps(row) + "\n")
+
+
+def _listed(values: np.ndarray) -> list[float | None]:
+    """Rounded numbers; null where one is not finite, as JSON has no NaN."""
+    return [round(v, 6) if np.isfinite(v) else None for v in np.asarray(values, float).tolist()]
+
+
+# ---- a self-test without an arm --------------------------------------------------------------------------------------
+
+
+def replay_golden(bundle: Bundle) -> dict[str, float]:
+    """The recorded closed-loop episode through this machine's own kinematics, observer and policy.
+
+    Returns:
+        observation_max_abs_error, action_max_abs_error: largest differences from the recorded numbers.
+    """
+    golden = bundle.golden
+    observer = Observer(bundle.manifest, Kinematics.of(bundle.manifest, bundle.mjcf))
+    seen, acted = [], []
+    for row in range(len(golden["episode_joints"])):
+        state = State(
+            0.0, golden["episode_joints"][row], golden["episode_object_position"][row], golden["episode_object_quaternion"][row],
+            golden["episode_goal"], golden["episode_fingers"][row],
+        )  # fmt: skip
+        seen.append(observer(state, float(golden["episode_command"][row])))
+        acted.append(bundle(seen[-1]))
+    return {
+        "observation_max_abs_error": float(np.abs(np.array(seen) - golden["episode_observations"]).max()),
+        "action_max_abs_error": float(np.abs(np.array(acted) - golden["episode_actions"]).max()),
+    }

@@ -1,0 +1,203 @@
+"""What makes the runtime hold an arm, and then stop it. Everything here is on; there is no switch.
+
+A fault is noticed in the tick in which it appears, and the command of that very tick is to hold. A fault that passes
+(a late state, a late tick) lets the arm go on; any other, and one that stays, stops it after the manifest's hold_ticks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolkit.deploy.arm import Command, State
+from toolkit.deploy.kinematics import vector_of
+from toolkit.deploy.motion import Motion
+from toolkit.deploy.observer import Observer
+from toolkit.manifest import Manifest
+
+COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
+PASSING = ("stale_state", "late_ticks")
+"""Faults after which an arm may go on once they have passed."""
+SPEED_MARGIN = 1.5
+"""Measured joint speed, in units of the limit, from which the arm is held: measured speeds overshoot commanded ones."""
+LIMIT_MARGIN = 0.02
+"""[rad] by which a measured angle may pass its limit."""
+LIFTED = 0.02
+"""Rise [m] of the object from where it rested that counts as lifted."""
+OVERSHOOT = 0.02
+"""[m, rad] by which a measured grasp frame may leave the workspace box."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Why the arm is held.
+
+    Attributes:
+        kind: one word, stable, for machines.
+        detail: a sentence with the culprit and its value.
+    """
+
+    kind: str
+    detail: str
+
+    @property
+    def passing(self) -> bool:
+        """Whether the arm may go on once this is over."""
+        return self.kind in PASSING
+
+
+class Guard:
+    """Checks of the state, the observation, the action and the command.
+
+    Args:
+        manifest: of the bundle.
+        observer: of the same; its kinematics stand at the state that is checked.
+    """
+
+    def __init__(self, manifest: Manifest, observer: Observer) -> None:
+        self.manifest, self.observer = manifest, observer
+        joints, watch = manifest.joints, manifest.watch
+        self._low = np.array([-np.inf if joint.low is None else joint.low for joint in joints])
+        self._high = np.array([np.inf if joint.high is None else joint.high for joint in joints])
+        self._speed, self._effort = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "effort"))
+        self._names = [f"{e.name}[{i}]" if e.size > 1 else e.name for e in manifest.observation for i in range(e.size)]
+        self._jump = np.concatenate([np.array(entry.jump) for entry in manifest.observation])
+        seen_low = np.concatenate([np.array(entry.low) for entry in manifest.observation])
+        seen_high = np.concatenate([np.array(entry.high) for entry in manifest.observation])
+        margin = 0.5 * (seen_high - seen_low) + self._jump
+        self._known_low, self._known_high = seen_low - margin, seen_high + margin
+        box = manifest.cartesian
+        self._box_low, self._box_high = np.array(box.low), np.array(box.high)
+        self._clearance = box.table_top_m + box.table_clearance_m
+        self._held = watch.held_m
+        names = [entry.name for entry in manifest.observation for _ in range(entry.size)]
+        self._object = np.array([i for i, name in enumerate(names) if name == "object_from_grasp"])
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the last episode."""
+        self._last: np.ndarray | None = None
+        self._missed, self._late, self._rest, self._lifted = 1, 0, np.inf, False
+
+    # -- before the first command
+
+    def start(self, state: State, now: float) -> Fault | None:
+        """Whether the arm stands where an episode starts: state fresh and finite, every joint and the grasp frame in place."""
+        fault = self.state(state, now)
+        if fault:
+            return fault
+        start, arm = self.manifest.start, self.observer.arm(state)
+        self._rest = float(state.object_position[2])
+        away = np.abs(_turns(arm - np.array(start.arm_rad), self._low))
+        if away.max() > start.tolerance_rad:
+            worst = int(away.argmax())
+            return Fault("start_pose", f"joint {self.manifest.joints[worst].name} stands {away[worst]:.3f} rad from the start posture, "
+                                       f"more than {start.tolerance_rad}; move the arm to the manifest's start.arm_rad")  # fmt: skip
+        self.observer(state, self.manifest.gripper.preshape)
+        kinematics = self.observer.kinematics
+        shift = float(np.linalg.norm(kinematics.position - np.array(start.grasp_position_m)))
+        turn = float(np.linalg.norm(vector_of(kinematics.rotation @ kinematics.start_rotation.T)))
+        if shift > start.tolerance_m or turn > start.tolerance_rotation_rad:
+            return Fault("start_pose", f"the grasp frame stands {shift:.3f} m and {turn:.3f} rad from its start")
+        return None
+
+    # -- every tick
+
+    def state(self, state: State, now: float) -> Fault | None:
+        """Whether a state may be trusted: fresh, finite, within the arm's own limits."""
+        age = now - state.stamp
+        if not np.isfinite(age) or age > self.manifest.watch.stale_s or age < -self.manifest.watch.stale_s:
+            return Fault("stale_state", f"the state is {1e3 * age:.0f} ms old, more than {1e3 * self.manifest.watch.stale_s:.0f} ms")
+        if state.fault:
+            return Fault("arm", f"the arm reports: {state.fault}")
+        n = len(self.manifest.joints)
+        arm = np.asarray(state.joints, float)
+        if arm.shape != (n,):
+            return Fault("state_shape", f"the state has joints of shape {arm.shape}, not ({n},)")
+        for name, value, size in (("object_position", state.object_position, 3), ("object_quaternion", state.object_quaternion, 4),
+                                  ("goal", state.goal, 3)):  # fmt: skip
+            if np.shape(value) != (size,) or not np.isfinite(value).all():
+                return Fault("not_finite", f"the state's {name} is {np.asarray(value).tolist()}")
+        arm = self._arm = self.observer.arm(state)
+        if not np.isfinite(arm).all():
+            return Fault("not_finite", f"joint {self.manifest.joints[int((~np.isfinite(arm)).argmax())].name} is not finite")
+        out = (arm < self._low - LIMIT_MARGIN) | (arm > self._high + LIMIT_MARGIN)
+        if out.any():
+            return Fault("joint_limit", f"joint {self.manifest.joints[int(out.argmax())].name} stands at {arm[out.argmax()]:.3f} rad")
+        for kind, values, limit in (("joint_speed", state.speeds, SPEED_MARGIN * self._speed),
+                                    ("effort", state.efforts, (1 + 1e-6) * self._effort)):  # fmt: skip
+            if values is None:
+                continue
+            if np.shape(values) != (n,):
+                return Fault("state_shape", f"the state has {kind} of shape {np.shape(values)}, not ({n},)")
+            values = self.observer.in_order(values)
+            bad = ~(np.abs(values) <= limit)
+            if bad.any():
+                worst = int(bad.argmax())
+                return Fault(kind, f"joint {self.manifest.joints[worst].name}: {values[worst]:.3g}, limit {limit[worst]:.3g}")
+        self._lifted = self._lifted or state.object_position[2] > self._rest + LIFTED
+        if state.outcome == "lost" or state.object_position[2] < self.manifest.task.lost_below_m:
+            return Fault("object_lost", f"the object lies at a height of {state.object_position[2]:.3f} m")
+        return None
+
+    def observation(self, observation: np.ndarray) -> Fault | None:
+        """Whether an observation (n_obs,) is finite, follows from the last one, and keeps a lifted object in the gripper.
+
+        The observer's kinematics stand at it.
+        """
+        if not np.isfinite(observation).all():
+            return Fault("not_finite", f"observation {self._names[int((~np.isfinite(observation)).argmax())]} is not finite")
+        if self._last is not None:
+            step = np.abs(observation - self._last)
+            bad = step > self._jump * self._missed
+            if bad.any():
+                self._missed += 1
+                worst = int(np.argmax(step / self._jump))
+                return Fault("observation_jump", f"observation {self._names[worst]} moved by {step[worst]:.3g} in a tick")
+        self._last, self._missed = observation, 1
+        place = self.observer.kinematics.coordinates()
+        out = (place < self._box_low - OVERSHOOT) | (place > self._box_high + OVERSHOOT)
+        if out.any():
+            worst = int(out.argmax())
+            return Fault("workspace", f"grasp coordinate {COORDINATES[worst]} is {place[worst]:.3f}, outside the workspace box")
+        apart = float(np.linalg.norm(observation[self._object])) if self._lifted else 0.0
+        if apart > self._held:
+            return Fault("object_lost", f"the lifted object is {apart:.3f} m from the grasp frame, more than {self._held:.3f}")
+        return None
+
+    def unknown(self, observation: np.ndarray) -> str:
+        """The entry that lies farthest outside what training saw, or nothing; a warning, not a fault."""
+        beyond = np.maximum(self._known_low - observation, observation - self._known_high)
+        return self._names[int(beyond.argmax())] if beyond.max() > 0 else ""
+
+    def action(self, action: np.ndarray) -> Fault | None:
+        """Whether the policy's action is finite."""
+        bad = ~np.isfinite(action)
+        return Fault("not_finite", f"action {self.manifest.action[int(bad.argmax())].name} is not finite") if bad.any() else None
+
+    def command(self, command: Command, motion: Motion) -> Fault | None:
+        """Whether a command, already limited, keeps the gripper off the table and the commanded arm near the real one."""
+        kinematics = self.observer.kinematics
+        place = motion.coordinates(command)
+        out = (place < self._box_low - OVERSHOOT) | (place > self._box_high + OVERSHOOT)
+        if out.any():
+            worst = int(out.argmax())
+            return Fault("workspace", f"the command leads to {COORDINATES[worst]} = {place[worst]:.3f}, outside the workspace box")
+        fall = float(place[2] - kinematics.position[2])
+        lowest = kinematics.lowest() + fall
+        if fall < 0.0 and lowest < self._clearance:
+            return Fault("table_clearance", f"the gripper would come to {lowest - self.manifest.cartesian.table_top_m:.4f} m above "
+                                            f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")  # fmt: skip
+        if motion.tracking(self._arm) > self.manifest.watch.tracking_rad:
+            return Fault("tracking", f"the arm stands {motion.tracking(self._arm):.3f} rad from where it was commanded")
+        return None
+
+    def timing(self, late: bool) -> Fault | None:
+        """Count ticks that end after their period."""
+        self._late = self._late + 1 if late else 0
+        limit = self.manifest.watch.late_ticks
+        return Fault("late_ticks", f"{self._late} ticks in a row ended after their period") if self._late >= limit else None
+
+
+def _turns(difference: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """Differences (n,) [rad], whole turns left out where a joint has no limits."""
+    return np.where(np.isfinite(low), difference, (difference + np.pi) % (2 * np.pi) - np.pi)

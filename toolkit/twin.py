@@ -1,0 +1,232 @@
+"""The twin: the unmodified robosuite robot in its task, served over a socket like an arm.
+
+By the clock, its physics follows real time in steps of robosuite's controller; in lockstep it advances one policy period
+per command, and waits. Under `osc` commands robosuite's own controller moves it. Under `pose` and `joint` commands it is
+a position-controlled arm: a stiff servo follows the waypoints, as an industrial controller does.
+"""
+
+import select
+import socket
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robots.robot import Robot
+from tasks.pick import PickTask
+from toolkit import datasheet
+from toolkit.deploy import wire
+from toolkit.deploy.arm import FORMS, Command
+from toolkit.deploy.kinematics import matrix_of, vector_of
+from toolkit.deploy.runtime import Pace
+from toolkit.errors import ToolkitError
+from toolkit.evaluation import NativeRobot
+from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
+
+SERVO_KP = 1600.0
+"""Stiffness [1/s^2] of the position servo, critically damped: 40 rad/s, a quarter of what industrial arms reach."""
+WATCHDOG = 4
+"""Policy periods without a command after which the twin holds of itself."""
+SLICE = 5
+"""Substeps that are played before the socket is looked at again."""
+
+
+class Twin:
+    """The robot and its state of motion.
+
+    Args:
+        robot, task: what is simulated.
+        pace: by the clock, or in lockstep with the commands.
+    """
+
+    def __init__(self, robot: Robot, task: PickTask, pace: Pace) -> None:
+        self.native, self.robot, self.task, self.pace = NativeRobot(robot, task), robot, task, pace
+        self.model, self.data, self.env = self.native.model, self.native.data, self.native.env
+        model = self.model
+        arm = arm_joints(model)
+        self._names = tuple(datasheet.plain_name(model.joint(j).name) for j in arm)
+        fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
+        self._finger_names = tuple(datasheet.plain_name(model.joint(j).name) for j in fingers)
+        self._qpos, self._dofs, self._finger_qpos = model.jnt_qposadr[arm], model.jnt_dofadr[arm], model.jnt_qposadr[fingers]
+        by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
+        self._motors = np.array([by_joint[j] for j in arm])
+        self._limit = np.abs(model.actuator_ctrlrange[self._motors]).max(axis=1)
+        base = int(model.body_parentid[model.jnt_bodyid[arm[0]]])
+        self._base, self._origin = self.data.xmat[base].reshape(3, 3).copy(), self.data.xpos[base].copy()
+        self._site = model.site(GRIP_SITE).id
+        self.period = 1.0 / task.control_frequency
+        self.substeps = int(round(self.period / model.opt.timestep))
+        self.begin(0)
+
+    def describe(self) -> dict[str, Any]:
+        """The twin's ArmInfo."""
+        return {
+            "robot": self.robot.name, "joints": self._names, "fingers": self._finger_names, "forms": FORMS,
+            "rate_hz": 1.0 / self.model.opt.timestep, "model_sha256": datasheet.model_sha256(self.model),
+        }  # fmt: skip
+
+    def begin(self, seed: int) -> None:
+        """Start an episode; its clock starts with the first command."""
+        self.native.begin(seed)
+        self._command: Command | None = None
+        self._fresh = False  # whether the command has not yet reached the controller
+        self._since = self._watched = 0  # substeps since the command came, and since the task was last judged
+        self._clock, self._played = 0.0, 0
+        self._stopped = ""
+        self._integrated = self.native.law.preshape
+        self._posture = self.data.qpos[self._qpos].copy()
+        self.behind = 0.0
+
+    @property
+    def outcome(self) -> str:
+        """As the task judges."""
+        return "success" if self.env.succeeded else "lost" if self.env.lost else "running"
+
+    def read(self) -> dict[str, Any]:
+        """The State, as JSON values."""
+        data = self.data
+        mujoco.mj_kinematics(self.model, data)  # after a step, MuJoCo's poses are a substep older than its angles
+        found = {
+            "joints": data.qpos[self._qpos], "fingers": data.qpos[self._finger_qpos], "speeds": data.qvel[self._dofs],
+            "efforts": data.ctrl[self._motors], "object_position": self.env.object_position,
+            "object_quaternion": data.xquat[self.env.object_body], "goal": self.env.goal,
+        }  # fmt: skip
+        broken = not all(np.isfinite(value).all() for value in found.values())
+        values = {key: np.nan_to_num(np.asarray(value)).tolist() for key, value in found.items()}
+        fault = self._stopped or ("the simulation has diverged" if broken else "")
+        return values | {"age": 0.0, "fault": fault, "outcome": self.outcome}
+
+    def send(self, command: Command) -> None:
+        """Take a command; in lockstep, play its period."""
+        if self._stopped:
+            raise ToolkitError(f"the twin has been stopped ({self._stopped}); begin a new episode")
+        if self._command is None:
+            self._clock, self._played = time.monotonic(), 0
+        self._command, self._fresh, self._since = command, True, 0
+        if self.pace == "lockstep":
+            self._play(self.substeps)
+
+    def stop(self, reason: str) -> None:
+        """Take no command any more, and stand still."""
+        self._stopped = self._stopped or f"stopped: {reason}"
+
+    def catch_up(self) -> float:
+        """Play what the clock asks for, a slice at most; returns how long [s] there is nothing to do."""
+        if self._command is None or self.pace == "lockstep":
+            return 0.05
+        step = self.model.opt.timestep
+        owed = int((time.monotonic() - self._clock) / step) - self._played
+        if owed > 0:
+            self.behind = max(self.behind, owed * step)
+            self._play(min(owed, SLICE))
+            self._played += min(owed, SLICE)
+            return 0.0
+        return max(0.0, self._clock + (self._played + 1) * step - time.monotonic())
+
+    def _play(self, substeps: int) -> None:
+        sim = self.env.sim
+        for _ in range(substeps):
+            sim.step1()
+            self._control()
+            sim.step2()
+            self._since += 1
+            self._watched += 1
+            if self._watched == self.substeps:  # success is counted in policy periods
+                self.env.reward(None)
+                self._watched = 0
+
+    def _control(self) -> None:
+        """Set the controls of one substep."""
+        command, fresh = self._command, self._fresh
+        silent = self._since >= WATCHDOG * self.substeps and self._since % self.substeps == 0
+        still = command.hold or bool(self._stopped) or self._since >= WATCHDOG * self.substeps
+        grip = 0.0 if still else command.grip
+        delta = np.zeros(6) if still or command.form != "osc" else command.target
+        # robosuite's own controllers move the gripper in every form; the arm's torques are then replaced, except in osc.
+        self.env._pre_action(np.append(delta, grip), fresh or silent)
+        if fresh:
+            self._integrated = float(np.clip(self._integrated + self.native.law.rate * np.sign(grip), -1.0, 1.0))
+        self._fresh = False
+        if command.form == "osc":
+            return
+        row = command.waypoints[min(self._since * len(command.waypoints) // self.substeps, len(command.waypoints) - 1)]
+        speed = np.zeros_like(command.rate) if still or self._since >= self.substeps else command.rate
+        torque = self._follow_joints(row, speed) if command.form == "joint" else self._follow_pose(row, speed)
+        self.data.ctrl[self._motors] = np.clip(torque, -self._limit, self._limit)
+
+    def _mass(self) -> np.ndarray:
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, full, self.data.qM)
+        return full[np.ix_(self._dofs, self._dofs)]
+
+    def _follow_joints(self, target: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Torques (n,) of a computed-torque servo towards angles (n,) [rad] moving at ``speed``."""
+        data = self.data
+        push = SERVO_KP * (target - data.qpos[self._qpos]) + 2 * np.sqrt(SERVO_KP) * (speed - data.qvel[self._dofs])
+        return self._mass() @ push + data.qfrc_bias[self._dofs]
+
+    def _follow_pose(self, target: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """Torques (n,) of the same servo in Cartesian space, towards a pose (7,) in the base frame."""
+        data, jacobian = self.data, np.zeros((6, self.model.nv))
+        mujoco.mj_jacSite(self.model, data, jacobian[:3], jacobian[3:], self._site)
+        jacobian = jacobian[:, self._dofs]
+        position = self._origin + self._base @ target[:3]
+        rotation = self._base @ matrix_of(target[3:])
+        turned = vector_of(rotation @ data.site_xmat[self._site].reshape(3, 3).T)
+        error = np.append(position - data.site_xpos[self._site], turned)
+        wanted = np.append(self._base @ twist[:3], self._base @ twist[3:]) - jacobian @ data.qvel[self._dofs]
+        push = SERVO_KP * error + 2 * np.sqrt(SERVO_KP) * wanted
+        inverse = np.linalg.pinv(jacobian)
+        posture = 10.0 * (self._posture - data.qpos[self._qpos]) - 2 * np.sqrt(10.0) * data.qvel[self._dofs]
+        return self._mass() @ (inverse @ push + posture - inverse @ (jacobian @ posture)) + data.qfrc_bias[self._dofs]
+
+
+def serve(twin: Twin, listener: socket.socket) -> None:
+    """Answer one client after another until one asks the twin to close."""
+    while True:
+        connection, _ = listener.accept()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with connection:
+            if _answer(twin, connection):
+                return
+            twin.stop("the runtime has gone")
+
+
+def _answer(twin: Twin, connection: socket.socket) -> bool:
+    """Serve one client; returns whether it closed the twin."""
+    while True:
+        ready, _, _ = select.select([connection], [], [], twin.catch_up())
+        if not ready:
+            continue
+        message = wire.receive(connection)
+        if message is None:
+            return False
+        if message.get("do") == "close":
+            return True
+        try:
+            answer = _reply(twin, message)
+        except ToolkitError as error:
+            answer = {"error": str(error)}
+        wire.send(connection, answer)
+
+
+def _reply(twin: Twin, message: dict[str, Any]) -> dict[str, Any]:
+    do = message.get("do")
+    if do == "describe":
+        return twin.describe()
+    if do == "begin":
+        twin.begin(int(message["seed"]))
+    elif do == "read":
+        return twin.read()
+    elif do == "send":
+        command = wire.command_from_json(message["command"])
+        twin.send(command)
+        return {"sent": message["command"]}
+    elif do == "stop":
+        twin.stop(str(message.get("reason", "")))
+    elif do == "result":
+        return {"success": twin.outcome == "success", "behind_s": twin.behind}
+    else:
+        raise ToolkitError(f"{do!r} is nothing that a twin does")
+    return {}
