@@ -1,5 +1,6 @@
 """robots, match: the systems known, and what merging them keeps of each."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 from toolkit.cli.names import TARGETS, TASK, make_lab
@@ -45,7 +46,8 @@ def match(
     figures = [parity(lab.merged, robot) for robot in (lab.source, *lab.targets)]
     if plot is not None:
         plot_merged_tree(lab.space.matching, plot)
-    content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters), "robots": figures}
+    content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters), "robots": figures,
+               "pairs": [asdict(pair) | {"overridden": pair.overridden} for pair in lab.space.matching.pairs]}
     if json:
         emit(content | ({"theta": lab.space.describe()} if theta else {}), True, "")
         return
@@ -57,6 +59,9 @@ def match(
          *("yes" if s.present(i) else "-" for s in lab.space.matching.systems)]
         for i, slot in enumerate(slots)
     ]  # fmt: skip
+    origin = lambda pair: "the card overrules" if pair.overridden else "geometry and card agree" if pair.by_card else "geometry"  # noqa: E731
+    table("Pairs: which joint is which of the source's, and who says so", ["robot", "its joint", "plays", "geometry proposes", "by"],
+          [[p.robot, p.joint, p.slot, p.proposed or "-", origin(p)] for p in lab.space.matching.pairs])  # fmt: skip
     table("Matched joints", ["joint", "parent", *lab.space.matching.names], rows)
     if theta:
         table("theta", ["parameter", "unit", "dimension", *lab.space.matching.names],

@@ -22,6 +22,7 @@ from toolkit.errors import ToolkitError
 from toolkit.morphology.linkage import Linkage, equivalent_linkages
 from toolkit.morphology.posture import (
     GRIP_SITE,
+    GRIPPER_PREFIX,
     arm_joints,
     native_env,
     role_actuators,
@@ -29,7 +30,7 @@ from toolkit.morphology.posture import (
     target_at,
     welded_bodies,
 )
-from toolkit.morphology.proposal import ALONE, align, pair_cost
+from toolkit.morphology.proposal import ALONE, Finger, align, pair_cost, propose_roles
 from toolkit.morphology.tree import KinematicTree, Screw
 
 UNLIMITED_ANGLE = 4 * np.pi
@@ -181,13 +182,45 @@ class System:
 
 
 @dataclass(frozen=True)
+class Pair:
+    """A robot's joint and the slot that it plays, with what the geometry alone proposes.
+
+    Attributes:
+        robot, joint: whose, and its own name there without robosuite's prefix.
+        slot: name of the slot.
+        proposed: name of the slot that the geometry proposes; None where it finds no partner.
+        by_card: whether the card names the slot (every finger; an arm joint only to overrule the geometry).
+    """
+
+    robot: str
+    joint: str
+    slot: str
+    proposed: str | None
+    by_card: bool
+
+    @property
+    def overridden(self) -> bool:
+        """Whether the card overrules the geometry."""
+        return self.by_card and self.slot != self.proposed
+
+
+@dataclass(frozen=True)
 class Matching:
-    """The merged tree with every robot in it; robot 0 is the source."""
+    """The merged tree with every robot in it; robot 0 is the source.
+
+    Attributes:
+        slots: joints of the merged tree, parents first.
+        systems: the robots.
+        arm_size: how many of the slots, from the first, are the arm's.
+        dropped_meshes: robot -> collision meshes of its gripper that the merged robot leaves out.
+        pairs: every target's joints with their slots.
+    """
 
     slots: tuple[Slot, ...]
     systems: tuple[System, ...]
     arm_size: int
     dropped_meshes: dict[str, int] = field(default_factory=dict)
+    pairs: tuple[Pair, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -358,9 +391,40 @@ class Reading:
         by_joint = dict(zip(self.tree.joints, self.screws, strict=True))
         return [by_joint[joint] for joint in self.arm]
 
+    @property
+    def fingers(self) -> list[Finger]:
+        """The gripper's chains of joints, the palm's first."""
+        model, by_joint = self.model, dict(zip(self.tree.joints, self.screws, strict=True))
+        driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu)}
+        chains: list[list[int]] = []
+        for index, joint in enumerate(self.tree.joints):
+            if joint in self.arm:
+                continue
+            parent = self.tree.joints[self.tree.parent(index)]
+            chain = next((chain for chain in chains if chain[-1] == parent), None)
+            if chain is None:
+                chains.append([joint])
+            else:
+                chain.append(joint)
+        return [
+            Finger(
+                tuple(self.name(joint) for joint in chain), tuple(by_joint[joint] for joint in chain),
+                any(joint in driven for joint in chain),
+            )
+            for chain in chains
+        ]  # fmt: skip
+
+    def joint_id(self, name: str) -> int:
+        """The id of a gripper's joint by its own name."""
+        return int(self.model.joint(GRIPPER_PREFIX + name).id)
+
+    def name(self, joint: int) -> str:
+        """The robot's own name of a joint, without robosuite's prefix."""
+        return self.model.joint(joint).name.removeprefix("robot0_").removeprefix(GRIPPER_PREFIX)
+
     def arm_name(self, index: int) -> str:
         """The arm's own name of its joint at an index, without robosuite's prefix."""
-        return self.model.joint(self.arm[index]).name.removeprefix("robot0_")
+        return self.name(self.arm[index])
 
 
 def read(robot: Robot) -> Reading:
@@ -377,40 +441,65 @@ def read(robot: Robot) -> Reading:
     welded = welded_bodies(model, robot)
     tree = KinematicTree(model, "robot0_base", welded.values())
     arm = arm_joints(model)
-    for joint in tree.joints:
-        if joint not in role and joint not in arm:
-            raise ToolkitError(f"gripper {robot.gripper.name}: joint {model.joint(joint).name!r} has no role")
     return Reading(robot, env, model, data, arm, welded, tree, tree.screws(data.qpos), role)
 
 
-def match_arms(readings: Sequence[Reading]) -> tuple[list[str], list[list[int]]]:
+def match_arms(readings: Sequence[Reading]) -> tuple[list[str], list[list[int]], list[Pair]]:
     """The merged arm: the source's joints, and in between any joint of another arm that has no partner among them.
 
     Returns:
-        names of the merged arm's joints, base to flange; for every robot the index of each of its own joints among them.
+        names of the merged arm's joints, base to flange; for every robot the index of each of its own joints among them;
+        the targets' pairs.
 
     Raises:
         ToolkitError: a card asks for a pair that is not possible.
     """
     names = [f"arm{i + 1}" for i in range(len(readings[0].arm))]
     screws = list(readings[0].arm_screws)
-    found = [list(names)]
+    found, pairs = [list(names)], []
     for reading in readings[1:]:
         own = reading.arm_screws
         costs = np.array([[pair_cost(a, b) for b in own] for a in screws])
+        proposed = {j: names[i] for i, j in align(costs) if i is not None and j is not None}
         for joint, role in reading.robot.arm_roles.items():
             row, column = _override(reading, names, joint, role)
             costs[row], costs[:, column], costs[row, column] = np.inf, np.inf, -ALONE
-        slot_names: list[str] = []
         merged: list[tuple[str, Screw]] = []
+        slot_names: list[str] = []
         for i, j in align(costs):
             name = names[i] if i is not None else f"{merged[-1][0] if merged else 'arm0'}b"
             merged.append((name, screws[i] if i is not None else own[j]))
             if j is not None:
                 slot_names.append(name)
+                joint = reading.arm_name(j)
+                pairs.append(Pair(reading.robot.name, joint, name, proposed.get(j), joint in reading.robot.arm_roles))
         names, screws = [name for name, _ in merged], [screw for _, screw in merged]
         found.append(slot_names)
-    return names, [[names.index(name) for name in own] for own in found]
+    return names, [[names.index(name) for name in own] for own in found], pairs
+
+
+def match_fingers(readings: Sequence[Reading]) -> list[Pair]:
+    """The targets' gripper joints with the roles that their cards give them, beside those that the geometry proposes.
+
+    Raises:
+        ToolkitError: a joint has no role; the sentence says which one the geometry proposes.
+    """
+    source = readings[0]
+    hand = [
+        Finger(tuple(source.role[joint] for joint in map(source.joint_id, finger.joints)), finger.screws, finger.driven)
+        for finger in source.fingers if finger.driven
+    ]  # fmt: skip
+    pairs = []
+    for reading in readings:
+        proposed = propose_roles(reading.fingers, hand)
+        for joint in reading.tree.joints:
+            name = reading.name(joint)
+            if joint in reading.role and reading is not source:
+                pairs.append(Pair(reading.robot.name, name, reading.role[joint], proposed.get(name), True))
+            elif joint not in reading.role and joint not in reading.arm:
+                hint = f"by its geometry it is {proposed[name]}: " if name in proposed else ""
+                raise ToolkitError(f"gripper {reading.robot.gripper.name}: joint {name!r} has no role; {hint}add it to the card's joints")
+    return pairs
 
 
 def _override(reading: Reading, names: list[str], joint: str, role: str) -> tuple[int, int]:
@@ -489,11 +578,12 @@ def match(robots: Sequence[Robot]) -> Matching:
     if len(robots) < 2 or len(set(names)) != len(names):
         raise ToolkitError(f"a merged tree needs at least two different robots; got {', '.join(names) or 'none'}")
     readings = [read(robot) for robot in robots]
-    arm, places = match_arms(readings)
+    fingers = match_fingers(readings)
+    arm, places, arm_pairs = match_arms(readings)
     slots = merged_slots(arm, {role for robot in robots for role in (*robot.gripper.joints, *robot.gripper.welded)})
     axes: dict[int, np.ndarray] = {}
     systems = [read_system(reading, slots, place, axes) for reading, place in zip(readings, places, strict=True)]
     return Matching(
         slots, tuple(system for system, _ in systems), len(arm),
-        {robot.name: meshes for robot, (_, meshes) in zip(robots, systems, strict=True)},
+        {robot.name: meshes for robot, (_, meshes) in zip(robots, systems, strict=True)}, (*arm_pairs, *fingers),
     )  # fmt: skip

@@ -6,8 +6,10 @@ start posture.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from toolkit.morphology.tree import Screw
 
@@ -67,3 +69,57 @@ def align(costs: np.ndarray) -> list[tuple[int | None, int | None]]:
 def align_chains(one: Sequence[Screw], other: Sequence[Screw]) -> list[tuple[int | None, int | None]]:
     """``align`` by ``pair_cost``."""
     return align(np.array([[pair_cost(a, b) for b in other] for a in one]).reshape(len(one), len(other)))
+
+
+@dataclass(frozen=True)
+class Finger:
+    """A chain of a gripper's joints from the palm outwards.
+
+    Attributes:
+        joints: their names, the palm's first.
+        screws: at the start posture.
+        driven: whether an actuator moves any of them; a passive chain is the inner knuckle of a linkage, not a finger.
+    """
+
+    joints: tuple[str, ...]
+    screws: tuple[Screw, ...]
+    driven: bool
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Centre of mass of the outermost link (3,) [m], world."""
+        return self.screws[-1].com
+
+
+def propose_roles(own: Sequence[Finger], source: Sequence[Finger]) -> dict[str, str]:
+    """Which joint of the source's hand each joint of another gripper is, by geometry.
+
+    Driven fingers are assigned to the source's so that the distances between tips are shortest in sum (Kuhn 1955); within a
+    pair the joints are aligned in order. A slide has no partner in a hand of hinges and becomes the finger's own ("S" after
+    the source's finger), and so does the first joint of a passive chain ("K" after the finger whose tip is nearest).
+
+    Args:
+        own: the gripper's chains.
+        source: the source's chains; their joints are named by the roles they play.
+
+    Returns:
+        joint -> role, for every joint that has a partner.
+    """
+    driven = [finger for finger in own if finger.driven]
+    costs = np.array([[np.linalg.norm(a.tip - b.tip) for b in source] for a in driven]).reshape(len(driven), len(source))
+    rows, columns = linear_sum_assignment(costs)
+    roles: dict[str, str] = {}
+    for row, column in zip(rows, columns, strict=True):
+        mine, theirs = driven[row], source[column]
+        for i, j in align_chains(theirs.screws, mine.screws):
+            if j is not None and i is not None:
+                roles[mine.joints[j]] = theirs.joints[i]
+            elif j is not None and mine.screws[j].sliding:
+                roles[mine.joints[j]] = f"{theirs.joints[0][:2]}S"
+    for finger in own:
+        if not finger.driven and driven:
+            nearest = min(driven, key=lambda other: float(np.linalg.norm(other.tip - finger.tip)))
+            named = [roles[joint] for joint in nearest.joints if joint in roles]
+            if named:
+                roles[finger.joints[0]] = f"{named[0][:2]}K"
+    return roles
