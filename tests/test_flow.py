@@ -58,7 +58,13 @@ def timeless(folder):
 
 
 def numbers(report):
-    return {key: value for key, value in report.items() if key != "wall_s"}
+    return {key: value for key, value in report.items() if key not in ("wall_s", "time")}
+
+
+def test_the_report_says_where_the_time_went(played):
+    spent = played[1]["time"]
+    assert 0 < spent["play_s"] + spent["learn_s"] <= spent["wall_s"] <= played[1]["wall_s"]
+    assert spent["outside_playing"] == pytest.approx(1 - spent["play_s"] / spent["wall_s"])
 
 
 def policy_of(folder):

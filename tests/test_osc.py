@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE
 from toolkit.morphology.posture import arm_joints
-from toolkit.simulation.osc import NULL_KP, base_rotation, cholesky_solve, osc_torque, rotation_from_vector
+from toolkit.simulation.osc import NULL_KP, SINGULAR, base_rotation, cholesky, osc_torque, rotation_from_vector, solve_factored
 
 vectors = st.tuples(*[st.floats(-4.0, 4.0)] * 3).map(np.array)
 seeds = st.integers(0, 2**32 - 1)
@@ -46,31 +46,48 @@ def test_the_base_turns_by_its_share(turned, follows):
     np.testing.assert_allclose(base_rotation(follows, turned, axis), wanted, atol=1e-12)
 
 
-@given(seed=seeds, n=st.integers(1, 8), m=st.integers(1, 4))
-def test_cholesky_solve_is_numpys_solve(seed, n, m):
+@given(seed=seeds, n=st.integers(1, 8), leading=st.integers(1, 8))
+def test_a_factor_and_its_leading_blocks_solve_as_numpy_does(seed, n, leading):
     rng = np.random.default_rng(seed)
-    matrix, right = positive_definite(rng, n), rng.standard_normal((n, m))
-    off = np.abs(cholesky_solve(matrix, right) - np.linalg.solve(matrix, right)).max()
-    assert off < 1e-9, f"solution of {n} equations is off by {off:.1e}"
+    matrix, leading = positive_definite(rng, n), min(n, leading)
+    right, low = rng.standard_normal(leading), np.empty((n, n))
+    assert SINGULAR < cholesky(matrix, low) <= 1.0
+    solution = right.copy()
+    solve_factored(low, leading, solution)
+    off = np.abs(solution - np.linalg.solve(matrix[:leading, :leading], right)).max()
+    assert off < 1e-9, f"solution of {leading} of {n} equations is off by {off:.1e}"
 
 
-def test_an_indefinite_matrix_solves_to_nan():
-    assert np.isnan(cholesky_solve(np.diag([1.0, -1.0]), np.ones((2, 1)))).any()
+def test_an_indefinite_matrix_says_so():
+    low = np.zeros((2, 2))
+    assert cholesky(np.diag([1.0, -1.0]), low) == 0.0 and np.isnan(low).any()
 
 
-@given(seed=seeds)
-def test_torques_are_robosuites(seed):
+def robosuites_torque(mass, jacobian, force, bias, start, q, qd):
     """robosuite's matrices with its pseudo-inverses, assembled as controllers/parts/arm/osc.py does."""
-    rng = np.random.default_rng(seed)
-    mass, jacobian = positive_definite(rng, 7), rng.standard_normal((6, 7))
-    force, bias = rng.uniform(-20, 20, 6), rng.uniform(-30, 30, 7)
-    start, q, qd = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
     _, lambda_position, lambda_rotation, null = opspace_matrices(mass, jacobian, jacobian[:3], jacobian[3:])
     wrench = np.concatenate([lambda_position @ force[:3], lambda_rotation @ force[3:]])
-    wanted = jacobian.T @ wrench + bias + nullspace_torques(mass, null, start, q, qd, joint_kp=NULL_KP)
+    return jacobian.T @ wrench + bias + nullspace_torques(mass, null, start, q, qd, joint_kp=NULL_KP)
+
+
+@given(seed=seeds, lost=st.sampled_from([None, 0, 2, 4]))
+def test_torques_are_robosuites(seed, lost):
+    """Also where the arm is singular: there the grasp frame cannot move along one axis at all."""
+    rng = np.random.default_rng(seed)
+    mass, jacobian = positive_definite(rng, 7), rng.standard_normal((6, 7))
+    if lost is not None:
+        jacobian[lost] = 0.0
+    force, bias = rng.uniform(-20, 20, 6), rng.uniform(-30, 30, 7)
+    start, q, qd = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
+    wanted = robosuites_torque(mass, jacobian, force, bias, start, q, qd)
     posture = NULL_KP * (start - q) - 2 * np.sqrt(NULL_KP) * qd
     off = np.abs(osc_torque(mass, jacobian, force, bias, posture) - wanted).max() / np.abs(wanted).max()
     assert off < 1e-6, f"torques are off by {off:.1e} of the largest"
+
+
+def test_a_mass_matrix_that_is_none_gives_no_number():
+    torque = osc_torque(-np.eye(7), np.eye(6, 7), np.ones(6), np.zeros(7), np.zeros(7))
+    assert np.isnan(torque).all()
 
 
 # -- motion --------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from toolkit.manifest import Gripper, Response
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
 from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
 from toolkit.simulation.plant import CLOSING, Plant
-from toolkit.simulation.rollout import play
+from toolkit.simulation.rollout import Tape, play
 
 PREFIXES = ("robot0_", GRIPPER_PREFIX, "fixed_mount0_")
 """Of the robot's bodies in a robosuite scene; left out of the names in robot.xml."""
@@ -94,14 +94,14 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
             rows.append((plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant)))
             return policy.act(observation, rng) if noisy else policy.mean(observation)
 
-        trace: list[np.ndarray] = []
-        episode = play(plant, seen, seed, np.zeros(0), trace)
+        tape = Tape(qpos=[])
+        episode = play(plant, seen, seed, np.zeros(0), tape)
         last = (plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant))
         speeds, efforts, grasp = (np.array(column) for column in zip(*rows, last, strict=True))
         succeeded += episode.success
-        height = min(height, *(lowest(row) for row in trace))
+        height = min(height, *(lowest(row) for row in tape.qpos))
         for kept, value in (
-            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(trace)),
+            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(tape.qpos)),
             (out.speeds, speeds[1:]), (out.efforts, efforts[1:]), (out.grasp, grasp),
         ):  # fmt: skip
             kept.append(value)

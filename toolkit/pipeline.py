@@ -131,12 +131,13 @@ class Pipeline:
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch = job, watch
         self.lab = Lab(job.source, job.targets, job.task)
-        self.engine = RolloutEngine(self.lab.merged)
+        dump = folder / "divergence.npz"
+        self.engine = RolloutEngine(self.lab.merged, dump=dump)
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         self.recording = Recording(folder / "recording.rrd")
         self._clock, self._iteration = 0.0, 0
         source, targets = self.lab.terminals()
-        native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task)) for robot in job.targets}
+        native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen)
         if resume:
             self.transfer.restore()
@@ -223,6 +224,7 @@ class Pipeline:
             "routes": self.transfer.routes,
             "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
             "wall_s": self.transfer.seconds,
+            "time": self.transfer.spent | {"outside_playing": outside_playing(self.transfer.spent)},
             "seed": self.job.transfer.seed,
             "kind": self.job.transfer.kind,
             "metric": self.job.transfer.metric,
@@ -231,6 +233,11 @@ class Pipeline:
             "source": self.job.source.name,
             "task": self.job.task.name,
         }
+
+
+def outside_playing(spent: dict[str, float]) -> float:
+    """Share of a transfer's wall time that played no episodes: learning, checkpoints, films and the tree."""
+    return 1.0 - spent["play_s"] / max(spent["wall_s"], 1e-9)
 
 
 def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
@@ -256,6 +263,9 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
         f"| total | {totals['train_iterations']} | {totals['sim_epochs']} | {totals['check_episodes']} |", "",
         f"Tree ({report['metric'].upper()}, {report['kind']}): length {tree.length:.1f}, independent paths "
         f"{tree.independent_length:.1f}, ratio {tree.ratio:.2f}{', proven shortest' if tree.optimal else ''}.",
-        f"Wall time {report['wall_s'] / 60:.1f} min; diverged simulations: {totals['diverged']} (counted as failures).",
+        f"Wall time {report['wall_s'] / 60:.1f} min; of the transfer's {report['time']['wall_s'] / 60:.1f} min, "
+        f"{report['time']['outside_playing']:.0%} went into anything but playing episodes ({report['time']['learn_s']:.0f} s into "
+        f"learning). Diverged simulations: {totals['diverged']} (counted as failures)"
+        f"{'; see the first with: meta-evolve replay <run>/divergence.npz' if totals['diverged'] else ''}.",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

@@ -162,6 +162,9 @@ class Transfer:
         native: target name -> makes the player of the unmodified robot (made when a path gets there).
         run: folder for metrics and checkpoints.
         report: called with one flat record per event, for progress and pictures.
+
+    Attributes:
+        spent: wall time [s] of the transfer, and its parts that went into playing episodes and into learning.
     """
 
     def __init__(
@@ -187,6 +190,7 @@ class Transfer:
         self._records = 0
         self._started = time.perf_counter()
         self._earlier_seconds = 0.0
+        self.spent = {"play_s": 0.0, "learn_s": 0.0, "wall_s": 0.0}
 
     # ---- Algorithm 1 -------------------------------------------------------------------------------------------
 
@@ -205,6 +209,7 @@ class Transfer:
                     self.reach(branch)
                 else:
                     self.split(branch, step)
+            self.spent["wall_s"] = self.seconds
             self.checkpoint()
         return self.arrived
 
@@ -313,7 +318,7 @@ class Transfer:
             return (meta - branch.alpha) / np.linalg.norm(meta - branch.alpha)
         robots = sample_robots(branch.alpha, self.config.jacobian_episodes, self.config.xi, self.rng)
         seeds = np.repeat(self.rng.integers(TRAINING_SEEDS, size=-(-len(robots) // 2)), 2)[: len(robots)]
-        batch = self.engine.play(branch.policy.act, list(robots), [int(seed) for seed in seeds])
+        batch = self.played(self.engine, branch.policy.act, list(robots), [int(seed) for seed in seeds])
         cost = self.costs[branch.path]
         cost.sim_epochs += len(batch)
         cost.diverged += sum(episode.diverged for episode in batch)
@@ -351,10 +356,11 @@ class Transfer:
         shares = 1.0 - branch.window * self.rng.uniform(size=size)
         alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
         seeds = [int(seed) for seed in self.rng.integers(TRAINING_SEEDS, size=size)]
-        began = time.perf_counter()
-        batch = player.play(branch.policy.act, alphas, seeds)
-        played = time.perf_counter()
+        before = self.spent["play_s"]
+        batch = self.played(player, branch.policy.act, alphas, seeds)
+        play_seconds = self.spent["play_s"] - before
         statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, self.rng)
+        self.spent["learn_s"] += statistics["seconds"]
         cost.train_iterations += 1
         cost.sim_epochs += size
         cost.diverged += sum(episode.diverged for episode in batch)
@@ -362,10 +368,17 @@ class Transfer:
         branch.updates += 1
         self.say(
             "update", branch, train_success=float(np.mean([e.success for e in batch])), window=branch.window,
-            kl=statistics["kl"], episodes_per_s=size / (played - began), play_s=played - began,
+            kl=statistics["kl"], episodes_per_s=size / play_seconds, play_s=play_seconds,
             learn_s=statistics["seconds"],
         )  # fmt: skip
         return "training"
+
+    def played(self, player: Player, actor: Callable, alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]:
+        """``player.play``, timed."""
+        began = time.perf_counter()
+        batch = player.play(actor, alphas, seeds)
+        self.spent["play_s"] += time.perf_counter() - began
+        return batch
 
     def holds(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
         """Whether the policy without noise succeeds at least at the rate ``wanted`` on the robot ``alpha`` (D,).
@@ -377,7 +390,7 @@ class Transfer:
         actor = lambda observation, rng: branch.policy.mean(observation)  # noqa: E731
         while played < episodes and successes < needed and successes + episodes - played >= needed:
             size = min(8, episodes - played)
-            batch = player.play(actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
+            batch = self.played(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
             played += size
             successes += sum(episode.success for episode in batch)
             self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
@@ -416,7 +429,7 @@ class Transfer:
         state = {
             "pending": branches, "arrived": list(self.arrived), "routes": self.routes, "records": self._records,
             "costs": {path: asdict(cost) for path, cost in self.costs.items()}, "rng": generator_state(self.rng),
-            "seconds": self.seconds,
+            "seconds": self.seconds, "spent": self.spent,
         }  # fmt: skip
         self.run.save_checkpoint("transfer", tensors, state)
 
@@ -454,7 +467,7 @@ class Transfer:
         self.costs = {path: Cost(**cost) for path, cost in state["costs"].items()}
         self.routes, self._records = state["routes"], state["records"]
         self.rng = generator_from_state(state["rng"])
-        self._earlier_seconds = state["seconds"]
+        self._earlier_seconds, self.spent = state["seconds"], state["spent"]
         self.run.truncate_metrics(self._records)
 
 

@@ -102,6 +102,70 @@ def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> None:
             Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
 
 
+@bench.command(name="engine")
+def bench_engine(
+    robots: tuple[str, ...] | None = None,
+    source: str = "adroit",
+    task: str = TASK,
+    episodes: int = 20,
+    rounds: int = 8,
+    scale: bool = True,
+    json: bool = False,
+) -> None:
+    """Measure the rollout engine against robosuite's own env.step and against bare mj_step, in turns on the same states.
+
+    A control step is one action of the policy: 50 ms, 25 steps of physics. One thread is timed in processor time, the least of
+    several rounds; figures of several threads need an idle machine. The report says how busy it was.
+
+    Args:
+        robots: systems; default: all that are registered.
+        source: the robot whose expert plays, and the source of the merged robot.
+        task: what they play.
+        episodes: that the engine and env.step both play, noise included, to compare how they end; 0: none.
+        rounds: turns of each racer.
+        scale: also measure episodes per second against batch, threads and dimensions.
+        json: print one JSON object.
+    """
+    from robots import ROBOTS
+
+    if episodes < 0 or rounds < 1:
+        raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
+    systems = [find_robot(name) for name in (robots or ROBOTS)]
+    from toolkit.expert import load_expert
+    from toolkit.speed import measure_engine
+
+    policy, _ = load_expert(source, task)
+    lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
+    with Progress("engine", quiet=json) as progress:
+        found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
+    if json:
+        emit(found, True, "")
+        return
+    _show_engine(found)
+
+
+def _show_engine(found: dict) -> None:
+    table("Engine, env.step and bare mj_step, contact-rich states",
+          ["robot", "control steps/s", "of bare mj_step", "of env.step", "two threads", "contacts", "qpos off in 2 s",
+           "observation off", "same endings"],
+          [[r["name"], f"{r['control_steps_per_s']:.0f}", f"{r['ratio_to_bare_mj_step']:.2f}", f"{r['ratio_to_robosuite']:.1f} x",
+            f"{r['ratio_of_two_threads']:.2f} x", f"{r['contacts']:.0f}", f"{r['parity_qpos']:.0e}", f"{r['observation_error']:.0e}",
+            f"{r['outcomes']['same']} of {r['outcomes']['episodes']}"] for r in found["robots"]])  # fmt: skip
+    parts = list(found["merged"][0]["mj_step"])
+    table("Merged robot: where mj_step spends its time", ["F(beta) of", "control steps/s", "of bare mj_step", "rows", *parts],
+          [[r["name"], f"{r['control_steps_per_s']:.0f}", f"{r['ratio_to_bare_mj_step']:.2f}", f"{r['rows']:.0f}",
+            *(f"{r['mj_step'][part]:.0f} us" if part == "microseconds" else f"{r['mj_step'][part]:.0%}" for part in parts)]
+           for r in found["merged"]])  # fmt: skip
+    scale = found["scale"]
+    if scale:
+        rows = [[row["environments"], row["threads"], row["D"], f"{row['episodes_per_s']:.1f}"] for row in scale["episodes"]]
+        table("Episodes per second, F(alpha) included", ["environments", "threads", "D", "episodes/s"], rows)
+        print(f"F(alpha) takes {1e3 * scale['morph_s']:.1f} ms per episode; an environment takes "
+              f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, one per thread.")  # fmt: skip
+    machine = found["machine"]
+    print(f"{machine['cores']} cores; load {machine['load_before']:.1f} before, {machine['load_after']:.1f} after, this command included.")
+
+
 @bench.command(name="walk")
 def bench_walk(
     source: str = "adroit",

@@ -1,5 +1,6 @@
 """A plant: one compiled robot in its task, with everything the compiled control step needs to drive and observe it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,7 +9,8 @@ import numpy as np
 
 from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_COMMAND
 from robots.robot import Robot
-from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
+from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, observe, sine_of_rotation
+from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import BASE_SITE, finger_sign
 from toolkit.morphology.posture import GRIP_SITE, arm_joints, native_env, role_actuators, role_joints, start_of
@@ -17,13 +19,66 @@ from toolkit.simulation import osc
 
 CLOSING = np.array([COMMANDED_ROLES.index(role) for role in CLOSING_ROLES])
 """Indices of the closing roles among the commanded ones."""
-WATCHED_WARNINGS = (
+WATCHED_WARNINGS = np.array([
     mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
     mujoco.mjtWarning.mjWARN_INERTIA, mujoco.mjtWarning.mjWARN_BADCTRL,
-)  # fmt: skip
+], np.int64)  # fmt: skip
 """MuJoCo warnings that mean a simulation has diverged."""
 SPEED_LIMIT = 200.0
 """Speed [rad/s or m/s] of any joint from which a simulation counts as exploded."""
+
+# Compiled apart from one another: Numba's files on disk follow the file of the function called, not those it calls.
+_observe, _sine_of_rotation, _at_goal = osc.compiled(observe), osc.compiled(sine_of_rotation), osc.compiled(at_goal)
+
+
+@osc.compiled
+def _advance(
+    state: np.ndarray, action: np.ndarray, closing: np.ndarray, common: float, gain: float, leak: float, rate: float
+) -> np.ndarray:
+    out = np.empty(state.size)
+    mean = 0.0
+    for i in closing:
+        mean += action[i]
+    mean /= closing.size
+    for i in range(state.size):
+        change = gain * ((1.0 - common) * action[i] + common * mean) - leak * state[i]
+        out[i] = np.minimum(np.maximum(state[i] + np.minimum(np.maximum(change, -rate), rate), -1.0), 1.0)
+    return out
+
+
+@osc.compiled
+def _progress(state: np.ndarray, closing: np.ndarray, preshape: float) -> float:
+    mean = 0.0
+    for i in closing:
+        mean += state[i]
+    return 2.0 * (mean / closing.size - preshape) / (1.0 - preshape) - 1.0
+
+
+@osc.compiled
+def _displacements(size: int, qpos: np.ndarray, role: np.ndarray, address: np.ndarray, sign: np.ndarray, start: np.ndarray) -> np.ndarray:
+    out = np.zeros(size)
+    for i in range(role.size):
+        out[role[i]] = sign[i] * (qpos[address[i]] - start[i])
+    return out
+
+
+@osc.compiled
+def _targets(state: np.ndarray, role: np.ndarray, opened: np.ndarray, closed: np.ndarray) -> np.ndarray:
+    out = np.empty(role.size)
+    for i in range(role.size):
+        out[i] = opened[i] + 0.5 * (state[role[i]] + 1.0) * (closed[i] - opened[i])
+    return out
+
+
+@osc.compiled
+def _exploded(qvel: np.ndarray, warnings: np.ndarray, watched: np.ndarray, limit: float) -> bool:
+    for w in watched:
+        if warnings[w] > 0:
+            return True
+    for speed in qvel:
+        if not abs(speed) <= limit:
+            return True
+    return False
 
 
 @dataclass
@@ -52,16 +107,15 @@ class CommandLaw:
 
     def advance(self, state: np.ndarray, action: np.ndarray) -> np.ndarray:
         """Next s (n_roles,) from s and the finger actions (n_roles,)."""
-        u = (1.0 - self.common) * action + self.common * action[CLOSING].mean()
-        return np.clip(state + np.clip(self.gain * u - self.leak * state, -self.rate, self.rate), -1.0, 1.0)
+        return _advance(state, action, CLOSING, self.common, self.gain, self.leak, self.rate)
 
     def progress(self, state: np.ndarray) -> float:
         """How far the closing roles have closed since the start, from -1 (the preshape) to +1 (closed), at s (n_roles,)."""
-        return float(2.0 * (state[CLOSING].mean() - self.preshape) / (1.0 - self.preshape) - 1.0)
+        return _progress(state, CLOSING, self.preshape)
 
     def targets(self, state: np.ndarray) -> np.ndarray:
         """Position targets (n_actuators,) [rad] at s (n_roles,)."""
-        return self.opened + 0.5 * (state[self.role] + 1.0) * (self.closed - self.opened)
+        return _targets(state, self.role, self.opened, self.closed)
 
 
 class Plant:
@@ -78,6 +132,11 @@ class Plant:
         base: (follows, axis, anchor, origin) of the OSC base frame.
         object_body: name of the object's body, whose first joint is free.
         task: the task.
+
+    Attributes:
+        command: (n_roles,) closing command.  goal: (3,) [m], world.
+        substeps: of physics per policy step.
+        object_body: id.
     """
 
     def __init__(
@@ -97,24 +156,39 @@ class Plant:
     ) -> None:
         self.model, self.data, self.task, self.law = model, data, task, law
         self.start = np.array(start)
-        self._arm_qpos = np.array(model.jnt_qposadr[list(arm)], np.int64)
-        self._arm_dof = np.array(model.jnt_dofadr[list(arm)], np.int64)
-        self._arm_actuator = np.array(arm_actuator, np.int64)
-        self._finger_actuator = np.array(finger_actuator, np.int64)
         self._site = model.site(site).id
         address = np.array([f[0] for f in fingers])
-        self._present = address >= 0
-        self._finger_qpos = address[self._present]
-        self._finger_sign = np.array([f[1] for f in fingers])[self._present]
-        self._finger_start = np.array([f[2] for f in fingers])[self._present]
-        self._base = (float(base[0]), *(np.ascontiguousarray(v, float) for v in base[1:]))
-        self._object = model.body(object_body).id
-        joint = int(model.body_jntadr[self._object])
-        self._object_qpos = int(model.jnt_qposadr[joint])
-        self._object_dof = int(model.jnt_dofadr[joint])
-        self._substeps = int(round(1.0 / task.control_frequency / model.opt.timestep))
+        present = np.flatnonzero(address >= 0)
+        sign, start_angle = np.array([f[1:] for f in fingers])[present].T.copy()
+        self._fingers = (present, address[present], sign, start_angle)
+        self.object_body = model.body(object_body).id
+        self._object_qpos = int(model.jnt_qposadr[model.body_jntadr[self.object_body]])
+        self.substeps = int(round(1.0 / task.control_frequency / model.opt.timestep))
         self.command = np.zeros(len(COMMANDED_ROLES))
         self.goal = np.zeros(3)
+        self._drive = self._arm_drive(list(arm), list(arm_actuator), list(finger_actuator), base)
+        self._osc_goal = np.zeros((4, 3))
+        # Views: a property of mjData costs as much as a short function.
+        self._qpos, self._qvel, self._warnings = data.qpos, data.qvel, data.warning.number
+        self._grasp_position, self._grasp_rotation = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+        self._object_position = data.xpos[self.object_body]
+        self._object_rotation = data.xmat[self.object_body].reshape(3, 3)
+
+    def _arm_drive(
+        self, arm: list[int], arm_actuator: list[int], finger_actuator: list[int],
+        base: tuple[float, np.ndarray, np.ndarray, np.ndarray],
+    ) -> tuple:  # fmt: skip
+        """What control_step asks for after the finger controls."""
+        model, data = self.model, self.data
+        dofs = model.jnt_dofadr[arm]
+        qpos = model.jnt_qposadr[arm]
+        return (
+            np.array([qpos, dofs, arm_actuator], np.int64), mass_addresses(model, dofs), np.array(finger_actuator, np.int64),
+            self._site, int(model.body_rootid[model.site_bodyid[self._site]]), self.start[qpos],
+            model.actuator_ctrlrange[arm_actuator, 1].copy(), float(base[0]),
+            *(np.array(vector, float) for vector in base[1:]),
+            data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos, data.site_xmat, data.cdof, data.subtree_com,
+        )  # fmt: skip
 
     def begin(self, seed: int) -> np.ndarray:
         """Reset to the start that the seed determines; returns the observation (n_obs,)."""
@@ -128,38 +202,84 @@ class Plant:
 
     def step(self, action: np.ndarray) -> np.ndarray:
         """Play one policy action (n_act,); returns the next observation (n_obs,)."""
-        self.command = self.law.advance(self.command, action[6:])
-        model, data = self.model, self.data
-        osc.control_step(
-            model._address, data._address, self._substeps, action[:6], self.law.targets(self.command),
-            self._arm_qpos, self._arm_dof, self._arm_actuator, self._finger_actuator, self._site,
-            self.start[self._arm_qpos], model.actuator_ctrlrange[self._arm_actuator, 1], *self._base,
-            data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos, data.site_xmat,
-        )  # fmt: skip
+        self.set_command(action)
+        self.play_substeps(action, self.substeps, sets_goal=True)
         return self.observe()
+
+    def set_command(self, action: np.ndarray) -> None:
+        """Advance the closing command by the finger part of an action (n_act,)."""
+        self.command = self.law.advance(self.command, action[6:])
+
+    def play_substeps(self, action: np.ndarray, count: int, sets_goal: bool) -> None:
+        """``count`` steps of physics under the arm part of an action (n_act,), which sets the goal at the first or not."""
+        osc.control_step(
+            self.model._address, self.data._address, count, sets_goal, action[:6], self._osc_goal,
+            self.law.targets(self.command), *self._drive,
+        )  # fmt: skip
 
     def observe(self) -> np.ndarray:
         """The observation record as a vector (n_obs,)."""
-        fingers = np.zeros(len(COMMANDED_ROLES))
-        fingers[self._present] = self._finger_sign * (self.data.qpos[self._finger_qpos] - self._finger_start)
-        rotation = self.data.site_xmat[self._site].reshape(3, 3) @ START_ROTATION.T
-        return observe(
-            fingers, self.law.progress(self.command), self.data.site_xpos[self._site], sine_of_rotation(rotation),
-            self.object_position, sine_of_rotation(self.data.xmat[self._object].reshape(3, 3)), self.goal, START_POSITION,
+        return _observe(
+            _displacements(self.command.size, self._qpos, *self._fingers), self.law.progress(self.command), self._grasp_position,
+            _sine_of_rotation(self._grasp_rotation @ START_ROTATION.T), self._object_position,
+            _sine_of_rotation(self._object_rotation), self.goal, START_POSITION,
         )  # fmt: skip
 
     @property
     def object_position(self) -> np.ndarray:
-        """(3,) [m], world."""
-        return self.data.xpos[self._object]
+        """(3,) [m], world; a view."""
+        return self._object_position
+
+    @property
+    def at_goal(self) -> bool:
+        """Whether the object is at the goal now."""
+        return _at_goal(self._object_position, self.goal, self.task.goal_tolerance)
+
+    @property
+    def torque_share(self) -> float:
+        """Largest share of its limit that an arm joint's torque takes now; NaN if one is no number."""
+        actuator, limit = self._drive[0][2], self._drive[6]
+        return float(np.max(np.abs(self.data.ctrl[actuator]) / limit))
 
     @property
     def diverged(self) -> bool:
         """Whether MuJoCo warned of a bad state, or a joint of the robot moves impossibly fast."""
-        if any(self.data.warning[w].number for w in WATCHED_WARNINGS):
-            return True
-        speed = np.abs(self.data.qvel).max()
-        return not np.isfinite(speed) or speed > SPEED_LIMIT
+        return _exploded(self._qvel, self._warnings, WATCHED_WARNINGS, SPEED_LIMIT)
+
+
+@osc.compiled
+def all_finite(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether no entry of two vectors is NaN or infinite."""
+    for value in first:
+        if not math.isfinite(value):
+            return False
+    for value in second:
+        if not math.isfinite(value):
+            return False
+    return True
+
+
+def mass_addresses(model: mujoco.MjModel, dofs: np.ndarray) -> np.ndarray:
+    """Where the mass matrix's entries (n, n) between degrees of freedom (n,) of one chain stand in mjData.qM.
+
+    A row of qM holds the degree of freedom itself, then its ancestors towards the root (MuJoCo, computation, sparse qM).
+
+    Raises:
+        ToolkitError: the degrees of freedom do not follow one another along a chain.
+    """
+    out = np.empty((len(dofs), len(dofs)), np.int64)
+    place = {int(dof): i for i, dof in enumerate(dofs)}
+    for i, dof in enumerate(map(int, dofs)):
+        above, address, met = dof, int(model.dof_Madr[dof]), 0
+        while above >= 0:
+            if above in place:
+                out[i, place[above]] = out[place[above], i] = address
+                met += 1
+            above, address = int(model.dof_parentid[above]), address + 1
+        if met != i + 1:
+            name = model.joint(model.dof_jntid[dof]).name
+            raise ToolkitError(f"the arm's joint {name!r} does not follow the arm's others along one chain; list them base first")
+    return out
 
 
 def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant:

@@ -1,19 +1,24 @@
 """Rollouts: a policy plays a task on many robots F(alpha), on all cores, the same whatever the number of threads."""
 
 import os
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from robots.robot import Robot
-from tasks.pick import PickTask, at_goal, is_lost
+from tasks.pick import PickTask, is_lost
 from toolkit.learning.episode import Episode
 from toolkit.morphology.build import MergedRobot
-from toolkit.simulation.plant import Plant, merged_plant, native_plant
+from toolkit.simulation.divergence import STATE, Divergence
+from toolkit.simulation.osc import silence_warnings
+from toolkit.simulation.plant import Plant, all_finite, merged_plant, native_plant
 
 Actor = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 """(observation (n_obs,), rng) -> action (n_act,)."""
@@ -29,7 +34,20 @@ class Trace:
     success: bool
 
 
-def play(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray, trace: list[np.ndarray] | None = None) -> Episode:
+@dataclass
+class Tape:
+    """What an episode leaves besides its Episode, for those who ask.
+
+    Attributes:
+        qpos: None, or a list to which (nq,) is added before every policy step and at the end.
+        broken: (state, command) before the policy step that blew up; see Divergence.
+    """
+
+    qpos: list[np.ndarray] | None = None
+    broken: tuple[np.ndarray, np.ndarray] | None = None
+
+
+def play(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape | None = None) -> Episode:
     """One episode.
 
     The seed fixes the start (object pose, goal) and the actor's noise. It ends with success (the object held at the goal
@@ -41,57 +59,111 @@ def play(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray, trace: list[n
         actor: the policy.
         seed: non-negative.
         alpha: (D,) recorded with the episode.
-        trace: if given, qpos (nq,) is appended before every step and at the end.
+        tape: filled if given.
     """
-    task = plant.task
-    rng = np.random.default_rng((seed, 1))
-    observation = plant.begin(seed)
-    observations, actions, rewards = [], [], []
-    held, success, terminated, diverged = 0, False, False, False
-    while len(rewards) < task.horizon and not terminated:
-        action = actor(observation, rng)
-        observations.append(observation)
-        actions.append(action)
-        if trace is not None:
-            trace.append(np.array(plant.data.qpos))
-        observation = plant.step(action)
-        diverged = plant.diverged or not (np.isfinite(action).all() and np.isfinite(observation).all())
-        held = held + 1 if not diverged and at_goal(plant.object_position, plant.goal, task.goal_tolerance) else 0
-        success = held >= task.hold_steps
-        terminated = success or diverged or is_lost(plant.object_position)
-        rewards.append(float(success))
-    if trace is not None:
-        trace.append(np.array(plant.data.qpos))
-    if diverged:
-        observation = np.nan_to_num(observation, nan=0.0, posinf=0.0, neginf=0.0)
+    tape = Tape() if tape is None else tape
+    played = play_on(plant, actor, np.random.default_rng((seed, 1)), plant.begin(seed), plant.task.horizon, tape)
+    observation = np.nan_to_num(played.observation, nan=0.0, posinf=0.0, neginf=0.0) if played.diverged else played.observation
     return Episode(
-        observations=np.array(observations), actions=np.array(actions), rewards=np.array(rewards), success=success,
-        diverged=diverged, terminated=terminated, last_observation=observation, alpha=alpha, seed=seed,
+        observations=np.array(played.observations), actions=np.array(played.actions), rewards=np.array(played.rewards),
+        success=played.success, diverged=played.diverged, terminated=played.terminated, last_observation=observation,
+        alpha=alpha, seed=seed,
     )  # fmt: skip
+
+
+@dataclass
+class Stretch:
+    """A part of an episode: lists of T observations (n_obs,), actions (n_act,) and rewards, and how it ended."""
+
+    observations: list[np.ndarray] = field(default_factory=list)
+    actions: list[np.ndarray] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    observation: np.ndarray | None = None
+    success: bool = False
+    diverged: bool = False
+    terminated: bool = False
+
+
+def play_on(
+    plant: Plant, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, tape: Tape
+) -> Stretch:
+    """Play from where the plant stands: at most ``steps`` policy steps, ending as an episode does; see ``play``."""
+    task, model, data = plant.task, plant.model, plant.data
+    out = Stretch()
+    held, before = 0, np.empty(mujoco.mj_stateSize(model, STATE))
+    while len(out.rewards) < steps and not out.terminated:
+        action = np.asarray(actor(observation, rng), float)
+        out.observations.append(observation)
+        out.actions.append(action)
+        mujoco.mj_getState(model, data, before, STATE)
+        command = plant.command
+        if tape.qpos is not None:
+            tape.qpos.append(np.array(data.qpos))
+        observation = plant.step(action)
+        out.diverged = plant.diverged or not all_finite(action, observation)
+        held = held + 1 if not out.diverged and plant.at_goal else 0
+        out.success = held >= task.hold_steps
+        out.terminated = out.success or out.diverged or is_lost(plant.object_position)
+        out.rewards.append(float(out.success))
+    out.observation = observation
+    if tape.qpos is not None:
+        tape.qpos.append(np.array(data.qpos))
+    tape.broken = (before, command) if out.diverged else None
+    return out
 
 
 class _Engine:
     """Plays batches of episodes with workers that each borrow what they need from ``_idle``.
 
+    MuJoCo's own printed warnings fall silent: a diverged simulation is counted, and the first leaves a dump.
+
     Attributes:
         threads: workers.
         episodes_played: since the start.
+        play_seconds: wall time spent playing, since the start [s].
     """
 
-    def __init__(self, threads: int | None) -> None:
+    def __init__(self, threads: int | None, dump: Path | None) -> None:
+        silence_warnings()
         self.threads = threads or len(os.sched_getaffinity(0))
+        self._dump = dump
         self._pool = ThreadPoolExecutor(self.threads)
         self._idle: SimpleQueue = SimpleQueue()
-        self.episodes_played = 0
+        self.episodes_played, self.play_seconds = 0, 0.0
 
-    def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> Episode:
+    def _plant(self, borrowed: Any, alpha: np.ndarray) -> Plant:
         raise NotImplementedError
 
+    def _scene(self) -> dict[str, Any]:
+        """What a dump says of the robot: ``robots``, ``native`` and ``task``."""
+        raise NotImplementedError
+
+    def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
+        borrowed = self._idle.get()
+        try:
+            plant, tape = self._plant(borrowed, alpha), Tape()
+            episode = play(plant, actor, seed, alpha, tape)
+            return episode, self._divergence(episode, plant, tape)
+        finally:
+            self._idle.put(borrowed)
+
+    def _divergence(self, episode: Episode, plant: Plant, tape: Tape) -> Divergence | None:
+        if tape.broken is None:
+            return None
+        state, command = tape.broken
+        return Divergence(seed=episode.seed, alpha=episode.alpha, state=state, command=command, goal=plant.goal,
+                          actions=episode.actions, **self._scene())  # fmt: skip
+
     def play(self, actor: Actor, alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
-        """One episode per (alpha (D,), seed), in order."""
-        episodes = list(self._pool.map(lambda pair: self._one(actor, *pair), zip(alphas, seeds, strict=True)))
-        self.episodes_played += len(episodes)
-        return episodes
+        """One episode per (alpha (D,), seed), in order; the first that diverges is dumped, if the engine has none yet."""
+        began = time.perf_counter()
+        played = list(self._pool.map(lambda pair: self._one(actor, *pair), zip(alphas, seeds, strict=True)))
+        self.episodes_played += len(played)
+        self.play_seconds += time.perf_counter() - began
+        first = next((divergence for _, divergence in played if divergence is not None), None)
+        if first is not None and self._dump is not None and not self._dump.exists():
+            first.save(self._dump)
+        return [episode for episode, _ in played]
 
     def close(self) -> None:
         """Stop the workers."""
@@ -107,44 +179,48 @@ class RolloutEngine(_Engine):
     Args:
         merged: the merged robot in its task.
         threads: workers; default: the machine's cores.
+        dump: file for the first simulation that blows up; one that exists is left alone.
     """
 
-    def __init__(self, merged: MergedRobot, threads: int | None = None) -> None:
-        super().__init__(threads)
+    def __init__(self, merged: MergedRobot, threads: int | None = None, dump: Path | None = None) -> None:
+        super().__init__(threads, dump)
         self.merged = merged
         for _ in range(self.threads):
             self._idle.put(merged.new())
 
-    def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> Episode:
-        model, data = self._idle.get()
-        try:
-            return play(merged_plant(self.merged, alpha, model, data), actor, seed, alpha)
-        finally:
-            self._idle.put((model, data))
+    def _plant(self, borrowed: tuple[mujoco.MjModel, mujoco.MjData], alpha: np.ndarray) -> Plant:
+        return merged_plant(self.merged, alpha, *borrowed)
+
+    def _scene(self) -> dict[str, Any]:
+        return {"robots": self.merged.space.matching.names, "native": False, "task": self.merged.task.name}
 
     def trace(self, actor: Actor, alpha: np.ndarray, seed: int) -> Trace:
         """One episode with what the viewer needs, on a model of its own; not counted."""
         model, data = self.merged.new()
-        plant = merged_plant(self.merged, alpha, model, data)
-        qpos: list[np.ndarray] = []
-        episode = play(plant, actor, seed, alpha, qpos)
-        return Trace(model, np.array(qpos), plant.goal, episode.success)
+        plant, tape = merged_plant(self.merged, alpha, model, data), Tape(qpos=[])
+        episode = play(plant, actor, seed, alpha, tape)
+        return Trace(model, np.array(tape.qpos), plant.goal, episode.success)
 
 
 class NativeEngine(_Engine):
     """Plays episodes on an unmodified robosuite robot with the compiled control step (not robosuite's own step).
 
     Its robot is the only one it has: the alphas of ``play`` are recorded, nothing more.
+
+    Args:
+        robot, task: who plays what.
+        threads: workers; default: the machine's cores.
+        dump: as for RolloutEngine.
     """
 
-    def __init__(self, robot: Robot, task: PickTask, threads: int | None = None) -> None:
-        super().__init__(threads)
+    def __init__(self, robot: Robot, task: PickTask, threads: int | None = None, dump: Path | None = None) -> None:
+        super().__init__(threads, dump)
+        self.robot, self.task = robot, task
         for _ in range(self.threads):
             self._idle.put(native_plant(robot, task))
 
-    def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> Episode:
-        plant = self._idle.get()
-        try:
-            return play(plant, actor, seed, alpha)
-        finally:
-            self._idle.put(plant)
+    def _plant(self, borrowed: Plant, alpha: np.ndarray) -> Plant:
+        return borrowed
+
+    def _scene(self) -> dict[str, Any]:
+        return {"robots": (self.robot.name,), "native": True, "task": self.task.name}
