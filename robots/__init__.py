@@ -1,15 +1,10 @@
-"""Systems by name: the source and the commercial targets."""
+"""Systems by name, one file each: the source and the commercial targets."""
 
-from robots.adroit import ADROIT_ON_KINOVA3
-from robots.iiwa import IIWA
-from robots.jaco import JACO
-from robots.kinova3 import KINOVA3
-from robots.panda import PANDA
+from grippers.cards import discover
 from robots.robot import Robot
-from robots.sawyer import SAWYER
-from robots.ur5e import UR5E
 
-ROBOTS: dict[str, Robot] = {
-    robot.name: robot for robot in (ADROIT_ON_KINOVA3, JACO, KINOVA3, IIWA, PANDA, UR5E, SAWYER)
-}
-"""ADROIT on a Kinova Gen3: the source. The arm is the one whose evolution tree to the first three targets is short."""
+ROBOTS: dict[str, Robot] = dict(
+    sorted(discover(__name__, Robot).items(), key=lambda item: not item[1].source_of_policy)
+)
+"""The source first, then in alphabetical order. The source is ADROIT on a Kinova Gen3, the arm whose evolution tree to
+jaco, kinova3 and iiwa is short."""

@@ -19,13 +19,21 @@ TARGETS = ("jaco", "kinova3", "iiwa")
 TASK = "061_foam_brick"
 
 
+def all_robots() -> dict[str, "Robot"]:
+    """Every system by name, or a sentence on the card that does not load."""
+    try:
+        from robots import ROBOTS
+    except (ValueError, TypeError, ImportError, NameError, SyntaxError) as error:  # a card is written by hand
+        raise ToolkitError(f"a card in robots/ or grippers/ does not load: {' '.join(str(error).split())}") from error
+    return ROBOTS
+
+
 def find_robot(name: str) -> "Robot":
     """The card of a system, or a sentence listing those that exist."""
-    from robots import ROBOTS
-
-    if name not in ROBOTS:
-        raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(ROBOTS)}")
-    return ROBOTS[name]
+    known = all_robots()
+    if name not in known:
+        raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(known)}")
+    return known[name]
 
 
 def find_task(name: str) -> "PickTask":

@@ -2,30 +2,53 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TARGETS, TASK, make_lab
+from toolkit.cli.names import TARGETS, TASK, all_robots, find_robot, make_lab
 from toolkit.cli.terminal import emit, short, table
+from toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from robots.robot import Robot
 
 
-def robots(json: bool = False) -> None:
-    """List the systems that can be source or target.
+def robots(check: str | None = None, json: bool = False) -> None:
+    """List the systems that can be source or target, or check one that is being added.
 
     Args:
+        check: name of a system: say all that is wrong with its card and models, then try to start it.
         json: print one JSON object instead of a table.
     """
-    from robots import ROBOTS
     from tasks import TASKS
 
+    known = all_robots()
+    if check is not None:
+        _check(find_robot(check), json)
+        return
     rows = [
         {"name": r.name, "role": "source" if r.source_of_policy else "target", "arm": r.arm,
          "gripper": r.gripper.robosuite_type, "rate": r.gripper.rate, "preshape": r.gripper.preshape}
-        for r in ROBOTS.values()
+        for r in known.values()
     ]  # fmt: skip
     if json:
         emit({"robots": rows, "tasks": list(TASKS)}, True, "")
     else:
         table("Systems", list(rows[0]), [list(row.values()) for row in rows])
         print(f"Tasks: {', '.join(TASKS)}")
+
+
+def _check(robot: "Robot", json: bool) -> None:
+    from toolkit.morphology.posture import start_of
+    from toolkit.morphology.validation import findings
+
+    found = findings(robot)
+    if found:
+        emit({"name": robot.name, "findings": found}, json, "\n".join(found))
+        raise ToolkitError(f"robot {robot.name}: {len(found)} thing{'s' if len(found) > 1 else ''} to mend")
+    start = start_of(robot)
+    arm = ", ".join(f"{angle:.3f}" for angle in start.arm)
+    text = f"{robot.name}: nothing is wrong; it starts with its arm at {arm} rad. Next: meta-evolve match --targets {robot.name}"
+    emit({"name": robot.name, "findings": [], "start_arm_rad": start.arm.tolist()}, json, text)
 
 
 def match(

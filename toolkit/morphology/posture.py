@@ -10,6 +10,7 @@ from robots.robot import Robot
 from tasks.env import Pick, Start
 from tasks.pick import START_POSITION, START_ROTATION, PickTask
 from toolkit.errors import ToolkitError
+from toolkit.morphology.validation import compiler_complaint, require_valid
 
 GRIPPER_PREFIX = "gripper0_right_"
 GRIP_SITE = GRIPPER_PREFIX + "grip_site"
@@ -135,8 +136,16 @@ def _nominal_task() -> PickTask:
 
 @lru_cache(maxsize=32)
 def start_of(robot: Robot) -> Start:
-    """The robot's start: arm posture by inverse kinematics, gripper settled at its preshape."""
-    env = Pick(robot, _nominal_task(), Start(arm=np.array(robot.posture_seed)))
+    """The robot's start: arm posture by inverse kinematics, gripper settled at its preshape.
+
+    Raises:
+        ToolkitError: something is wrong with the card or its models, or the robot cannot reach the start.
+    """
+    require_valid(robot)
+    try:
+        env = Pick(robot, _nominal_task(), Start(arm=np.array(robot.posture_seed)))
+    except ValueError as error:
+        raise compiler_complaint(robot, error) from error
     model, data = env.sim.model._model, env.sim.data._data
     qpos = solve_arm(model, np.array(data.qpos), START_POSITION, robot.name)
     qpos, ctrl = _settle_gripper(model, qpos, robot)
