@@ -118,7 +118,9 @@ class Cartesian:
         low, high: (6,) the workspace box, and how far the grasp frame may turn.
         speed: (6,) [m/s, rad/s].  acceleration: (6,) [m/s^2, rad/s^2].
         lead: (6,) how far a commanded pose may run ahead of the measured one.
-        table_top_m: height of the table.  table_clearance_m: smallest height of the gripper's shapes above it.
+        table_top_m: height of the table.
+        table_clearance_m: smallest height above it of the shapes that enclose the gripper; negative where they reach lower than
+            the fingers in them, which came closer to the table than the shapes are wide.
     """
 
     low: Vector

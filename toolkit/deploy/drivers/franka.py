@@ -1,0 +1,115 @@
+"""Franka arms through franky (pip install franky-control). Tested against a fake; never run on hardware.
+
+    joint   JointMotion to the tick's target, at rest there, preempting the last one; Ruckig, inside franky, keeps speed,
+            acceleration and jerk within the arm's limits at 1 kHz
+    pose    CartesianMotion likewise, of the end effector that is set in Desk: it must be the manifest's grasp frame
+    hold    JointStopMotion or CartesianStopMotion, Ruckig's own deceleration
+
+franky speaks rad and m like the runtime; its quaternions are x y z w. Its base frame is the arm's own, as in robosuite.
+Every motion ends at rest, so an arm whose runtime has gone stands still at its last target; the price is that the arm lags
+behind the targets by more than a tick. The runtime's lead limit and tracking check bound how far.
+"""
+
+import time
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.drivers.ur import Scene
+from toolkit.errors import ToolkitError
+
+RATE = 20.0
+"""[Hz] at which targets are given; franky interpolates."""
+DYNAMICS = 0.2
+"""Share of the arm's own speed, acceleration and jerk limits that franky may use. Raise it once the first day went well."""
+GRIPPER_SPEED = 0.1
+"""[m/s] of the jaws."""
+
+
+class Franka:
+    """A Panda or FR3.
+
+    Args:
+        host: address of the control box, FCI unlocked.
+        robot: the toolkit's name of the system.
+        joints: names of the arm's joints in the bundle, base to flange.
+        scene: reads the cameras.
+        width: of the open gripper [m], the bundle's gripper.opening_m[0].
+    """
+
+    def __init__(self, host: str, robot: str, joints: Sequence[str], scene: Scene, width: float) -> None:
+        self.host, self.robot, self.names, self.scene, self.width = host, robot, tuple(joints), scene, width
+        self._franky: Any = None
+        self._arm: Any = None
+        self._hand: Any = None
+        self._width_sent: float | None = None
+
+    def connect(self) -> ArmInfo:
+        """See Driver.
+
+        Raises:
+            ToolkitError: franky is not installed, or the arm does not answer.
+        """
+        self._franky = franky = _package()
+        try:
+            self._arm, self._hand = franky.Robot(self.host), franky.Gripper(self.host)
+        except (RuntimeError, franky.Exception) as error:
+            raise ToolkitError(f"no Franka answers at {self.host} ({error}); is FCI on, and does franky fit its version?") from None
+        self._arm.relative_dynamics_factor = DYNAMICS
+        return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
+
+    def read(self) -> State:
+        """See Driver. Efforts are the measured link-side torques [N m], gravity included."""
+        state = self._arm.state
+        fault = "an error: recover it by hand" if self._arm.has_errors else ""
+        position, quaternion, goal, stamp = self.scene()
+        return State(
+            min(stamp, time.monotonic()), np.array(state.q, float), position, quaternion, goal,
+            opening=float(np.clip(self._hand.width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
+            efforts=np.array(state.tau_J, float), fault=fault,
+        )  # fmt: skip
+
+    def send(self, command: Command) -> Command:
+        """See Driver. Asynchronous: a new motion takes over from the last one without a jump.
+
+        Raises:
+            ToolkitError: robosuite's own deltas, which franky does not know; or the arm refuses the motion.
+        """
+        franky = self._franky
+        if command.form == "osc":
+            raise ToolkitError("franky knows no robosuite deltas; use joint or pose commands")
+        try:
+            self._arm.move(self._motion(command), asynchronous=True)
+        except (RuntimeError, franky.Exception) as error:
+            raise ToolkitError(f"the arm refuses a motion ({error})") from None
+        if not command.hold and command.opening_m != self._width_sent:
+            self._hand.move_async(command.opening_m, GRIPPER_SPEED)
+            self._width_sent = command.opening_m
+        return command
+
+    def _motion(self, command: Command) -> Any:
+        franky = self._franky
+        if command.hold:
+            return franky.JointStopMotion() if command.form == "joint" else franky.CartesianStopMotion()
+        if command.form == "joint":
+            return franky.JointMotion(franky.JointState(command.target))
+        affine = franky.Affine(command.target[:3], np.roll(command.target[3:], -1))  # w x y z -> x y z w
+        return franky.CartesianMotion(franky.CartesianState(franky.RobotPose(affine)))
+
+    def stop(self, reason: str) -> None:
+        """See Driver."""
+        if self._arm is not None:
+            self._arm.stop()
+            self._hand.stop()
+            self._arm = None
+
+
+def _package() -> ModuleType:
+    try:
+        import franky
+    except ImportError as error:
+        raise ToolkitError(f"the Franka driver needs franky ({error}); install it: pip install 'meta-evolve[franka]'") from None
+    return franky

@@ -1,0 +1,168 @@
+"""Universal Robots e-series through ur_rtde (pip install ur-rtde). Tested against a fake; never run on hardware.
+
+    joint   servoJ, every waypoint at the arm's 500 Hz, from a thread of its own
+    pose    servoL, likewise; the tool centre point must be set on the pendant to the manifest's tool
+    hold    servoStop, the controller's own deceleration
+
+ur_rtde speaks rad and m like the runtime; a pose is a position and a rotation vector in the arm's base frame. That frame is
+the controller's: it is turned by half a turn about z from the base body of robosuite's UR5e, as in ROS (base to base_link);
+``base_turn`` says so. Its watchdog stops the robot program when no command has come for 100 ms; ours stops feeding it
+``WATCHDOG`` seconds after the last command.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.kinematics import matrix_of, vector_of
+from toolkit.errors import ToolkitError
+
+RATE = 500.0
+"""[Hz] of an e-series controller."""
+LOOKAHEAD, GAIN = 0.1, 300.0
+"""servoJ's and servoL's smoothing time [s] (0.03 to 0.2) and gain (100 to 2000): Universal Robots' defaults."""
+DECELERATION = 4.0
+"""[m/s^2, rad/s^2] of a hold."""
+WATCHDOG = 0.2
+"""[s] without a command after which the arm is held."""
+
+Scene = Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray, float]]
+"""Where the object and the goal are: position (3,) [m], quaternion (4,), goal (3,) [m], task frame, and the stamp [s]."""
+Grip = Callable[[float, float], None]
+"""Move the gripper to an opening, 0 closed to 1 open, which is so many metres."""
+
+
+class UniversalRobots:
+    """An e-series arm.
+
+    Args:
+        host: address of the controller, in remote mode.
+        robot: the toolkit's name of the system.
+        joints: names of the arm's joints in the bundle, base to flange; UR's own order is the same.
+        scene: reads the cameras.
+        gripper: moves the gripper; a Robotiq takes 255 * (1 - opening) as its position byte.
+        opening: reads how far it is open, 0 to 1.
+        base_turn: rotation (3, 3) of the controller's base frame in the bundle's base frame.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        robot: str,
+        joints: Sequence[str],
+        scene: Scene,
+        gripper: Grip,
+        opening: Callable[[], float],
+        base_turn: np.ndarray | None = None,
+    ) -> None:
+        self.host, self.robot, self.names = host, robot, tuple(joints)
+        self.scene, self.gripper, self.opening = scene, gripper, opening
+        self.base_turn = np.diag([-1.0, -1.0, 1.0]) if base_turn is None else np.array(base_turn)
+        self._control: Any = None
+        self._receive: Any = None
+        self._lock, self._ended = threading.Lock(), threading.Event()
+        self._command: Command | None = None
+        self._sent, self._streamer = 0.0, None
+        self._trouble = ""
+
+    def connect(self) -> ArmInfo:
+        """See Driver.
+
+        Raises:
+            ToolkitError: ur_rtde is not installed, or the controller does not answer.
+        """
+        control, receive = _package()
+        try:
+            self._receive = receive.RTDEReceiveInterface(self.host)
+            self._control = control.RTDEControlInterface(self.host, RATE)
+        except RuntimeError as error:
+            raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on, and in remote mode?") from None
+        self._control.setWatchdog(10.0)  # [Hz] at least
+        self._ended.clear()
+        self._trouble, self._command = "", None
+        self._streamer = threading.Thread(target=self._stream, daemon=True)
+        self._streamer.start()
+        return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
+
+    def read(self) -> State:
+        """See Driver. Efforts are the controller's target moments [N m]; currents are no torques."""
+        receive = self._receive
+        fault = self._trouble or ("emergency stop" if receive.isEmergencyStopped() else "")
+        fault = fault or ("protective stop" if receive.isProtectiveStopped() else "")
+        position, quaternion, goal, stamp = self.scene()
+        return State(
+            min(stamp, time.monotonic()), np.array(receive.getActualQ()), position, quaternion, goal, opening=self.opening(),
+            speeds=np.array(receive.getActualQd()), efforts=np.array(receive.getTargetMoment()), fault=fault,
+        )  # fmt: skip
+
+    def send(self, command: Command) -> Command:
+        """See Driver. The waypoints go out one by one, 2 ms apart.
+
+        Raises:
+            ToolkitError: robosuite's own deltas, which this arm's controller does not know; or it has stopped.
+        """
+        if command.form == "osc":
+            raise ToolkitError("a Universal Robots controller knows no robosuite deltas; use joint or pose commands")
+        if self._trouble:
+            raise ToolkitError(f"the arm has stopped: {self._trouble}")
+        with self._lock:
+            self._command, self._sent = command, time.monotonic()
+        if not command.hold:
+            self.gripper(command.opening, command.opening_m)
+        return command
+
+    def stop(self, reason: str) -> None:
+        """See Driver."""
+        self._trouble = self._trouble or reason
+        self._ended.set()
+        if self._streamer is not None and self._streamer is not threading.current_thread():
+            self._streamer.join(timeout=1.0)
+        if self._control is not None:
+            self._control.servoStop(DECELERATION)
+            self._control.stopScript()
+            self._control = None
+
+    def _stream(self) -> None:
+        """Feed the controller at its own rate until the arm is stopped."""
+        still, control = True, self._control
+        while not self._ended.is_set():
+            period = control.initPeriod()
+            with self._lock:
+                command, sent = self._command, self._sent
+            age = time.monotonic() - sent
+            if command is None or command.hold or age > WATCHDOG:
+                if not still:
+                    control.servoStop(DECELERATION)
+                    still = True
+            else:
+                row = command.waypoints[min(int(age * RATE), len(command.waypoints) - 1)]
+                if not self._servo(control, command, row):
+                    self._trouble = "the controller refused a command"
+                    return
+                still = False
+            control.kickWatchdog()
+            control.waitPeriod(period)
+
+    def _servo(self, control: Any, command: Command, row: np.ndarray) -> bool:
+        target = row.tolist() if command.form == "joint" else self.pose(row)
+        servo = control.servoJ if command.form == "joint" else control.servoL
+        return bool(servo(target, 0.0, 0.0, 1.0 / RATE, LOOKAHEAD, GAIN))  # speed and acceleration are not used by UR
+
+    def pose(self, row: np.ndarray) -> list[float]:
+        """A pose (7,) in the bundle's base frame as UR's: x y z [m], rotation vector [rad], in the controller's base."""
+        position, rotation = self.base_turn.T @ row[:3], self.base_turn.T @ matrix_of(row[3:])
+        return [*position.tolist(), *vector_of(rotation).tolist()]
+
+
+def _package() -> tuple[ModuleType, ModuleType]:
+    try:
+        import rtde_control
+        import rtde_receive
+    except ImportError as error:
+        raise ToolkitError(f"the UR driver needs ur_rtde ({error}); install it: pip install 'meta-evolve[ur]'") from None
+    return rtde_control, rtde_receive
