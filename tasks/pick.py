@@ -39,6 +39,7 @@ class PickTask:
         object: what is picked.
         noise_xy: half width [m] of the uniform shift of object and goal together.
         noise_yaw: half width [rad] of the uniform yaw of the object.
+        goal_offset: goal (3,) [m] relative to the object's start.
         goal_tolerance: distance [m] from object to goal that counts as reached.
         hold_steps: consecutive policy steps within the tolerance that make a success.
         horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
@@ -48,6 +49,7 @@ class PickTask:
     object: PickObject
     noise_xy: float = 0.01
     noise_yaw: float = 0.0
+    goal_offset: tuple[float, float, float] = tuple(GOAL_OFFSET.tolist())
     goal_tolerance: float = 0.05
     hold_steps: int = 10
     horizon: int = 200
@@ -68,7 +70,7 @@ class PickTask:
         yaw = rng.uniform(-self.noise_yaw, self.noise_yaw)
         position = np.array([*(OBJECT_XY + shift), TABLE_TOP + self.object.half_height])
         quaternion = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
-        return np.concatenate([position, quaternion]), position + GOAL_OFFSET
+        return np.concatenate([position, quaternion]), position + np.array(self.goal_offset)
 
 
 TASKS: dict[str, PickTask] = {

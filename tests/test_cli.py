@@ -16,7 +16,10 @@ from toolkit.cli import main
 from toolkit.cli.names import TARGETS, TASK
 from toolkit.runs import Run
 
-COMMANDS = ("robots", "match", "tree", "expert", "transfer", "evaluate", "view", "export", "verify", "deploy", "twin", "doctor", "bench")
+COMMANDS = (
+    "robots", "match", "tree", "expert", "transfer", "evaluate", "view", "export", "verify", "deploy", "twin", "doctor", "recordings",
+    "bench",
+)  # fmt: skip
 POINTS = {
     "source": {"name": "hand", "alpha": [0.0, 0.0, 0.0]},
     "targets": [{"name": "left", "alpha": [0.8, 0.6, 0.2]}, {"name": "right", "alpha": [0.8, 0.2, 0.9]}],

@@ -1,24 +1,27 @@
 """The source expert: behaviour cloning of scripted demonstrations, then natural policy gradient under the sparse reward."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE
-from toolkit.demonstrations import PickScript, pick_script
+from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, PickTask
+from toolkit.demonstrations import PickScript, TrackScript, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.learning.cloning import CloningConfig, clone
-from toolkit.learning.npg import NpgConfig, npg_step
-from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
+from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
 from toolkit.morphology.build import MergedRobot
+from toolkit.runs import Run, generator_from_state, generator_state
 from toolkit.simulation.rollout import RolloutEngine
 
+Script = PickScript | TrackScript
 DEMONSTRATION_SEEDS = 3 * 10**6
 EXPERT_SEEDS = 4 * 10**6
+VISIT_SEEDS = 5 * 10**6
 _NOISE = {
     "finger": 0.3, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.1, "object_from_grasp": 0.01,
     "object_rotation": 0.2, "goal_from_object": 0.03,
@@ -41,6 +44,11 @@ class ExpertConfig:
     beside the demonstrated way, and judges a grasp by object and progress rather than by one hand's exact posture."""
     demonstrated_tolerance: float = 0.01
     """Distance [m] from the goal that demonstrations reach: tighter than the task, so that no clone stops short of it."""
+    rounds: int = 2
+    """With recorded demonstrations: how often the clone plays, is told what the teachers would have done where it went, and is
+    cloned anew (Ross et al. 2011, DAgger)."""
+    visits: int = 40
+    """Episodes of each such round."""
     updates: int = 6
     """Natural-gradient updates after cloning."""
     seed: int = 0
@@ -66,7 +74,7 @@ def new_learner(seed: int) -> tuple[GaussianPolicy, ValueFunction]:
 class NoisyScript:
     """A script whose motion is perturbed; remembers what the script itself wanted at each observation."""
 
-    def __init__(self, script: PickScript, noise: float) -> None:
+    def __init__(self, script: Script, noise: float) -> None:
         self.script, self.noise = script, noise
 
     def __call__(self, observation: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -77,13 +85,63 @@ class NoisyScript:
         return action
 
 
-def _with_noise(
-    observations: np.ndarray, script: PickScript, copies: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _with_noise(observations: np.ndarray, script: Script, copies: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """The data (N, n_obs) with noisy copies, and what the script does at each (.., n_act)."""
     seen = np.tile(observations, (copies + 1, 1))
     seen[len(observations) :] += OBSERVATION_NOISE * rng.standard_normal((copies * len(observations), seen.shape[1]))
     return seen, np.array([script(observation) for observation in seen])
+
+
+@dataclass(frozen=True, eq=False)
+class _Lessons:
+    """What the teachers did: steps of the kept demonstrations, and what is cloned, noisy copies and visited states included."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    seen: np.ndarray
+    labels: np.ndarray
+    kept: int
+    played: int
+
+
+def _demonstrate(
+    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Sequence[Script], rng: np.random.Generator
+) -> _Lessons | None:
+    """Play the teachers in turn, keep what succeeds, label it; None if nothing succeeds."""
+    strict = replace(engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
+    stage = RolloutEngine(MergedRobot(engine.merged.space, strict), engine.threads)
+    parts, kept = [], 0
+    for k, script in enumerate(teachers):
+        seeds = list(range(DEMONSTRATION_SEEDS + k, DEMONSTRATION_SEEDS + config.demonstrations, len(teachers)))
+        played = stage.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
+        good = [episode.observations for episode in played if episode.success]
+        if good:
+            kept += len(good)
+            observations = np.concatenate(good)
+            seen, labels = _with_noise(observations, script, config.copies, rng)
+            parts.append((observations, labels[: len(observations)], seen, labels))
+    stage.close()
+    if not parts:
+        return None
+    return _Lessons(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), kept, config.demonstrations)
+
+
+def _visit(
+    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Sequence[Script], policy: GaussianPolicy,
+    lessons: _Lessons, round_: int, rng: np.random.Generator,
+) -> tuple[_Lessons, float]:  # fmt: skip
+    """Let the clone play, add what the teachers would have done where it went (Ross et al. 2011, DAgger); its success."""
+    seen, labels, successes = [lessons.seen], [lessons.labels], 0
+    for k, script in enumerate(teachers):
+        first = VISIT_SEEDS + round_ * config.visits
+        seeds = list(range(first + k, first + config.visits, len(teachers)))
+        played = engine.play(policy.act, [beta] * len(seeds), seeds)
+        successes += sum(episode.success for episode in played)
+        for episode in played:
+            states, wanted = _with_noise(episode.observations, script, 1, rng)
+            seen.append(states)
+            labels.append(wanted)
+    return replace(lessons, seen=np.concatenate(seen), labels=np.concatenate(labels)), successes / config.visits
 
 
 def train_expert(
@@ -91,8 +149,20 @@ def train_expert(
     source: str,
     config: ExpertConfig,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
+    teachers: Sequence[Script] = (),
+    run: Run | None = None,
 ) -> tuple[GaussianPolicy, ValueFunction, dict[str, Any]]:
     """Demonstrate, clone, improve on F(beta_0).
+
+    Args:
+        engine: plays the merged robot in its task.
+        source: the robot that is F(beta_0).
+        config: how.
+        report: called with every event.
+        teachers: retargeted recordings as scripts, played in turn; their demonstrations also pull the updates (DAPG). None:
+            the script that is written for the object, and updates by reward alone.
+        run: keeps events and, after cloning and after every update, everything that is needed to go on; a run that has a
+            checkpoint is continued.
 
     Returns:
         policy, value function, and statistics.
@@ -102,38 +172,110 @@ def train_expert(
     """
     rng = np.random.default_rng(config.seed)
     beta = engine.merged.space.beta(source)
-    script = pick_script(engine.merged.task.object)
-    seeds = list(range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations))
-    strict = replace(engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
-    teacher = RolloutEngine(MergedRobot(engine.merged.space, strict), engine.threads)
-    played = teacher.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
-    teacher.close()
-    kept = [episode for episode in played if episode.success]
-    report({"event": "demonstrations", "played": len(played), "kept": len(kept)})
-    if not kept:
-        raise ToolkitError(f"none of {len(played)} scripted demonstrations succeeds on {source}; check its grasp posture")
+    scripts = teachers or [pick_script(engine.merged.task.object)]
     policy, value = new_learner(config.seed)
-    observations = np.concatenate([episode.observations for episode in kept])
-    seen, labels = _with_noise(observations, script, config.copies, rng)
-    losses = clone(policy, seen, labels, config.cloning, rng, scale_floor=OBSERVATION_SCALE,
-                   progress=lambda epoch, loss: report({"event": "cloning", "epoch": epoch, "loss": loss}))  # fmt: skip
-    for update in range(config.updates):
-        size = config.npg.batch_size
-        first = EXPERT_SEEDS + update * size
-        batch = engine.play(policy.act, [beta] * size, list(range(first, first + size)))
-        statistics = npg_step(policy, value, batch, config.npg, rng)
+    training = _Training(engine, beta, config, scripts, policy, value, rng, report, run)
+    if not training.restore():
+        training.clone(source, bool(teachers))
+    while training.updates < config.updates:
+        training.update()
+    return policy, value, training.card
+
+
+class _Training:
+    """The state of an expert's training; every change of it ends in a checkpoint."""
+
+    def __init__(
+        self, engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, scripts: Sequence[Script], policy: GaussianPolicy,
+        value: ValueFunction, rng: np.random.Generator, report: Callable[[dict[str, Any]], None], run: Run | None,
+    ) -> None:  # fmt: skip
+        self.engine, self.beta, self.config, self.scripts = engine, beta, config, scripts
+        self.policy, self.value, self.rng, self.run = policy, value, rng, run
+        self._report, self._records = report, 0
+        self.updates, self.card = 0, {}
+        self.demonstrations: Demonstrations | None = None
+
+    def report(self, record: dict[str, Any]) -> None:
+        """Tell whoever watches, and the run."""
+        self._report(record)
+        if self.run is not None:
+            self.run.append_metrics(record)
+            self._records += 1
+
+    def clone(self, source: str, recorded: bool) -> None:
+        """Demonstrations, behaviour cloning, and rounds of visiting with recorded teachers."""
+        config, policy, rng = self.config, self.policy, self.rng
+        lessons = _demonstrate(self.engine, self.beta, config, self.scripts, rng)
+        kept = 0 if lessons is None else lessons.kept
+        self.report({"event": "demonstrations", "played": config.demonstrations, "kept": kept})
+        if lessons is None:
+            kind = "recorded" if recorded else "scripted"
+            raise ToolkitError(f"none of {config.demonstrations} {kind} demonstrations succeeds on {source}; check its grasp posture")
+        self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations}
+        for round_ in range(1 + (config.rounds if recorded else 0)):
+            if round_:
+                lessons, success = _visit(self.engine, self.beta, config, self.scripts, policy, lessons, round_, rng)
+                self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
+            seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "loss": loss})  # noqa: E731
+            losses = clone(policy, lessons.seen, lessons.labels, config.cloning, rng, scale_floor=OBSERVATION_SCALE, progress=seen)
+            self.card["cloning_loss"] = losses[-1]
+        if recorded:
+            self.demonstrations = Demonstrations(lessons.observations, lessons.actions)
+            if self.run is not None:
+                arrays = {"observations": lessons.observations, "actions": lessons.actions}
+                self.run.save_checkpoint("demonstrations", arrays, {})
+        self.checkpoint()
+
+    def update(self) -> None:
+        """One update under the sparse reward, pulled by demonstrations if there are recorded ones."""
+        size = self.config.npg.batch_size
+        first = EXPERT_SEEDS + self.updates * size
+        batch = self.engine.play(self.policy.act, [self.beta] * size, list(range(first, first + size)))
+        shown = None if self.demonstrations is None else replace(self.demonstrations, update=self.updates)
+        statistics = npg_step(self.policy, self.value, batch, self.config.npg, self.rng, shown)
         success = float(np.mean([episode.success for episode in batch]))
-        report({"event": "update", "update": update, "success": success, **statistics})
-    return policy, value, {"demonstrations_kept": len(kept), "demonstrations": len(played), "cloning_loss": losses[-1]}
+        self.report({"event": "update", "update": self.updates, "success": success, **statistics})
+        self.updates += 1
+        self.checkpoint()
+
+    def checkpoint(self) -> None:
+        """Everything that is needed to go on, in one atomic file."""
+        if self.run is not None:
+            state = {"updates": self.updates, "card": self.card, "rng": generator_state(self.rng), "records": self._records}
+            self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
+
+    def restore(self) -> bool:
+        """Go on from the run's checkpoint; False if it has none yet."""
+        if self.run is None:
+            return False
+        if "expert" not in self.run.checkpoints():
+            self.run.truncate_metrics(0)
+            return False
+        tensors, state = self.run.load_checkpoint("expert")
+        load_learner(tensors, "expert", self.policy, self.value)
+        self.updates, self.card, self._records = state["updates"], state["card"], state["records"]
+        self.rng.bit_generator.state = generator_from_state(state["rng"]).bit_generator.state
+        if "demonstrations" in self.run.checkpoints():
+            arrays, _ = self.run.load_checkpoint("demonstrations")
+            self.demonstrations = Demonstrations(arrays["observations"], arrays["actions"])
+        self.run.truncate_metrics(self._records)
+        return True
 
 
 SHIPPED = Path(__file__).parent / "experts"
 """Folder of the experts that come with the package."""
 
 
+def narrow_task(task: PickTask) -> PickTask:
+    """The task with the small start noise, +-1 cm and no yaw, for which an expert of the wide one serves as well."""
+    return replace(task, noise_xy=min(task.noise_xy, 0.01), noise_yaw=0.0)
+
+
 def expert_files(source: str, task: str) -> tuple[Path, Path]:
-    """Files of the shipped expert's policy and value function."""
-    return SHIPPED / f"{source}-{task}.policy.safetensors", SHIPPED / f"{source}-{task}.value.safetensors"
+    """Files of the shipped expert's policy and value function: the task's own, or those of its wide variant."""
+    names = (f"{source}-{task}", f"{source}-{task}-wide")
+    name = next((name for name in names if (SHIPPED / f"{name}.policy.safetensors").is_file()), names[0])
+    return SHIPPED / f"{name}.policy.safetensors", SHIPPED / f"{name}.value.safetensors"
 
 
 def save_expert(policy: GaussianPolicy, value: ValueFunction, folder: Path, name: str, card: dict[str, Any]) -> None:

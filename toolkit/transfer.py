@@ -21,7 +21,14 @@ from toolkit.errors import ToolkitError
 from toolkit.evolution import KINDS, METRICS, Kind, MetaStep, Metric, Terminal, next_meta_robot
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
-from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.learning.policy import (
+    GaussianPolicy,
+    ValueFunction,
+    learner_tensors,
+    load_learner,
+    load_network,
+    network_tensors,
+)
 from toolkit.runs import Run, generator_from_state, generator_state
 from toolkit.steering import heading, jacobian, sample_robots
 
@@ -419,13 +426,13 @@ class Transfer:
         tensors: dict[str, np.ndarray] = {}
         branches = []
         for i, branch in enumerate(self.pending):
-            tensors |= {f"pending.{i}.alpha": branch.alpha} | _learner_tensors(f"pending.{i}", branch.policy, branch.value)
+            tensors |= {f"pending.{i}.alpha": branch.alpha} | learner_tensors(f"pending.{i}", branch.policy, branch.value)
             if branch.next_alpha is not None:
                 tensors[f"pending.{i}.next_alpha"] = branch.next_alpha
             state = {key: getattr(branch, key) for key in ("path", "targets", "window", "updates", "stage")}
             branches.append(state | {"stride": None if math.isinf(branch.stride) else branch.stride})
         for name, policy in self.arrived.items():
-            tensors |= _network_tensors(f"arrived.{name}", policy)
+            tensors |= network_tensors(f"arrived.{name}", policy)
         state = {
             "pending": branches, "arrived": list(self.arrived), "routes": self.routes, "records": self._records,
             "costs": {path: asdict(cost) for path, cost in self.costs.items()}, "rng": generator_state(self.rng),
@@ -454,7 +461,7 @@ class Transfer:
                     "the robots have changed since; start a new run"
                 )
             policy, value = model.copy(), critic.copy()
-            _load_learner(tensors, f"pending.{i}", policy, value)
+            load_learner(tensors, f"pending.{i}", policy, value)
             stride = math.inf if saved["stride"] is None else saved["stride"]
             fields = {key: saved[key] for key in ("path", "targets", "window", "updates", "stage")}
             self.pending.append(
@@ -463,33 +470,9 @@ class Transfer:
             )  # fmt: skip
         for name in state["arrived"]:
             self.arrived[name] = model.copy()
-            _load_network(tensors, f"arrived.{name}", self.arrived[name])
+            load_network(tensors, f"arrived.{name}", self.arrived[name])
         self.costs = {path: Cost(**cost) for path, cost in state["costs"].items()}
         self.routes, self._records = state["routes"], state["records"]
         self.rng = generator_from_state(state["rng"])
         self._earlier_seconds, self.spent = state["seconds"], state["spent"]
         self.run.truncate_metrics(self._records)
-
-
-def _network_tensors(prefix: str, network: GaussianPolicy | ValueFunction) -> dict[str, np.ndarray]:
-    layers = network.layers()
-    return {f"{prefix}.parameters": network.parameters, f"{prefix}.shift": np.array(layers.shift),
-            f"{prefix}.scale": np.array(layers.scale)}  # fmt: skip
-
-
-def _learner_tensors(prefix: str, policy: GaussianPolicy, value: ValueFunction) -> dict[str, np.ndarray]:
-    returns = np.array([value.return_shift, value.return_scale])
-    return _network_tensors(f"{prefix}.policy", policy) | _network_tensors(f"{prefix}.value", value) | {
-        f"{prefix}.returns": returns
-    }
-
-
-def _load_network(tensors: dict[str, np.ndarray], prefix: str, network: GaussianPolicy | ValueFunction) -> None:
-    network.set_parameters(tensors[f"{prefix}.parameters"])
-    network.set_normalisation(tensors[f"{prefix}.shift"], tensors[f"{prefix}.scale"])
-
-
-def _load_learner(tensors: dict[str, np.ndarray], prefix: str, policy: GaussianPolicy, value: ValueFunction) -> None:
-    _load_network(tensors, f"{prefix}.policy", policy)
-    _load_network(tensors, f"{prefix}.value", value)
-    value.set_return_scale(*map(float, tensors[f"{prefix}.returns"]))

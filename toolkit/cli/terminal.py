@@ -65,16 +65,22 @@ class Progress:
         """A callback (done, successes) for evaluations."""
         return lambda done, successes: self.show(title, f"{successes} of {done} succeed", done, total, now=done == total)
 
+    def recordings(self, name: str) -> Any:
+        """A callback (done, total, kept) for retargeting."""
+        return lambda done, total, kept: self.show(f"recordings of {name}", f"{kept} of {done} followed", done, total, now=done == total)
+
     def expert(self, config: Any) -> Any:
         """A callback for train_expert."""
 
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "demonstrations":
                 self.show("demonstrations", f"{record['kept']} of {record['played']} kept", now=True)
+            elif record["event"] == "visits":
+                self.show("visits", f"the clone succeeds in {record['success']:.0%} of {record['played']}", now=True)
             elif record["event"] == "cloning":
                 self.show("cloning", f"loss {record['loss']:.4f}", record["epoch"], config.cloning.epochs)
             else:
-                self.show("updates", f"success {record['success']:.0%}", record["update"] + 1, config.updates)
+                self.show("updates", f"success {record['success']:.0%}", record["update"] + 1, config.updates, now=True)
 
         return seen
 

@@ -5,47 +5,79 @@ from typing import Literal
 
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit
+from toolkit.errors import ToolkitError
 
 
 def expert(
     source: str = "adroit",
     task: str = TASK,
+    demos: Path | None = None,
+    frame_rate: float = 25.0,
     out: Path | None = None,
     updates: int = 6,
     demonstrations: int = 160,
     seed: int = 0,
     episodes: int = 200,
+    run: Path | None = None,
+    resume: bool = False,
     json: bool = False,
 ) -> None:
-    """Train the source expert: scripted demonstrations, behaviour cloning, natural policy gradient.
+    """Train the source expert: demonstrations, behaviour cloning, natural policy gradient under the sparse reward.
+
+    Demonstrations are scripted, or with --demos recordings of hands in DexYCB's format, retargeted to the robot's hand; these
+    also pull the policy gradient (DAPG). Writes logs/<run>/: config, metrics, checkpoints, report. Ctrl-C leaves a run that
+    --resume continues to the same result.
 
     Args:
         source: the robot to train on.
-        task: what it does.
+        task: what it does; an expert for "<object>-wide" serves "<object>" as well and is evaluated on both.
+        demos: folder of recordings, as made by `meta-evolve recordings make`, or DexYCB's own.
+        frame_rate: of the recordings [Hz].
         out: folder for the policy; default: the package's own experts.
         updates: natural-gradient updates after cloning.
-        demonstrations: scripted episodes.
+        demonstrations: demonstrated episodes; failed ones are dropped and counted.
         seed: of everything random.
         episodes: of the final evaluation on the source robot itself, on unseen seeds.
+        run: run folder; default: logs/expert-<source>-<task>-<seed>.
+        resume: continue the run in that folder.
         json: print one JSON object at the end.
     """
-    robot = find_robot(source)
+    if episodes < 1 or demonstrations < 1 or updates < 0 or seed < 0:
+        raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
+                           "least one episode and one demonstration, updates and seed from 0 on")  # fmt: skip
+    robot, what = find_robot(source), find_task(task)
     from toolkit.evaluation import evaluate_native
-    from toolkit.expert import SHIPPED, ExpertConfig, save_expert, train_expert
+    from toolkit.expert import SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
+    from toolkit.recordings import teachers_for
+    from toolkit.runs import Run
     from toolkit.simulation.rollout import RolloutEngine
 
-    lab = make_lab(source, [name for name in TARGETS if name != source], task)
-    engine = RolloutEngine(lab.merged)
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)
+    asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
+             "updates": updates, "demonstrations": demonstrations, "episodes": episodes}  # fmt: skip
+    folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
     with Progress("expert", quiet=json) as progress:
-        policy, value, card = train_expert(engine, source, config, progress.expert(config))
-        result = evaluate_native(policy, robot, lab.task, episodes, progress=progress.count(f"{source} native", episodes))
-    command = f"meta-evolve expert --source {source} --task {task} --updates {updates} --demonstrations {demonstrations} --seed {seed}"
-    card |= {"command": command, "evaluation": result.to_json()}
+        kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
+        teachers, counts = [], {}
+        if demos is not None:
+            teachers, counts = teachers_for(demos, robot, what, frame_rate, progress.recordings(what.object.name))
+        engine = RolloutEngine(make_lab(source, [name for name in TARGETS if name != source], task).merged)
+        policy, value, card = train_expert(engine, source, config, progress.expert(config), teachers, kept)
+        engine.close()
+        results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
+        counter = lambda name: progress.count(f"{source} native, {name}", episodes)  # noqa: E731
+        results = {key: evaluate_native(policy, robot, t, episodes, progress=counter(t.name)) for key, t in results.items()}
+    words = [f"--demos {demos}"] * (demos is not None) + [f"--updates {updates} --demonstrations {demonstrations} --seed {seed}"]
+    command = " ".join([f"meta-evolve expert --source {source} --task {task}", *words])
+    card |= counts | {"command": command} | {key: result.to_json() for key, result in results.items()}
     save_expert(policy, value, out or SHIPPED, f"{source}-{task}", card)
-    low, high = result.ci95
-    emit(card, json, f"{source}, {task}: {result.successes} of {episodes} on the source robot ({low:.2f} to {high:.2f}); "
-                      f"saved in {out or SHIPPED}")  # fmt: skip
+    kept.write_json("report", card)
+    lines = []
+    for key, result in results.items():
+        low, high = result.ci95
+        name = task if key == "evaluation" else narrow_task(what).name
+        lines.append(f"{source}, {name}: {result.successes} of {episodes} on the source robot ({low:.2f} to {high:.2f})")
+    emit(card, json, "\n".join([*lines, f"Saved in {out or SHIPPED}; run folder: {folder}"]))
 
 
 def transfer(

@@ -3,7 +3,9 @@
 Sources: the natural gradient is Kakade, "A Natural Policy Gradient", NIPS 2001; the normalised step and the conjugate
 gradients are Rajeswaran et al., "Towards Generalization and Simplicity in Continuous Control", NIPS 2017, equation 7;
 the advantages are Schulman et al., "High-Dimensional Continuous Control Using Generalized Advantage Estimation",
-ICLR 2016, equation 16. Defaults come from the hyperparameter table of the Meta-Evolve paper where it has one.
+ICLR 2016, equation 16; the demonstrations' term is Rajeswaran et al., "Learning Complex Dexterous Manipulation with Deep
+Reinforcement Learning and Demonstrations" (DAPG), RSS 2018, equation 4. Defaults come from the hyperparameter table of the
+Meta-Evolve paper where it has one.
 """
 
 import time
@@ -45,6 +47,10 @@ class NpgConfig:
     """Added to the Fisher matrix's diagonal, so that directions without data stay finite."""
     min_log_std: float | None = None
     """Floor of every log standard deviation, so that exploration cannot die; None: no floor."""
+    demonstration_weight: float = 0.1
+    """lambda_0: how much a demonstrated action counts against the best sampled one, where demonstrations are given (DAPG)."""
+    demonstration_decay: float = 0.95
+    """lambda_1: by how much that weight falls with every update (DAPG)."""
     value_epochs: int = 5
     """Passes over the batch when the value function is fitted."""
     value_minibatch: int = 64
@@ -56,11 +62,26 @@ class NpgConfig:
         positive = ("step_size", "batch_size", "cg_iterations", "value_minibatch", "value_learning_rate")
         for name, valid, mend in (
             *((name, getattr(self, name) > 0, "a positive number") for name in positive),
-            *((name, 0.0 <= getattr(self, name) <= 1.0, "a number in [0, 1]") for name in ("gamma", "gae_lambda")),
-            *((name, getattr(self, name) >= 0, "0 or more") for name in ("cg_damping", "value_epochs")),
+            *((name, 0.0 <= getattr(self, name) <= 1.0, "a number in [0, 1]") for name in ("gamma", "gae_lambda", "demonstration_decay")),
+            *((name, getattr(self, name) >= 0, "0 or more") for name in ("cg_damping", "value_epochs", "demonstration_weight")),
         ):
             if not valid:
                 raise ToolkitError(f"NpgConfig.{name} is {getattr(self, name)}; give {mend}.")
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """What somebody else did, for the demonstrations' term of `npg_step`.
+
+    Attributes:
+        observations: (M, n_obs).
+        actions: (M, n_act).
+        update: how many updates went before this one; the weight falls with it.
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    update: int = 0
 
 
 def npg_step(
@@ -69,6 +90,7 @@ def npg_step(
     episodes: Sequence[Episode],
     config: NpgConfig,
     rng: np.random.Generator,
+    demonstrations: Demonstrations | None = None,
 ) -> dict[str, Any]:
     """Improve policy and value in place by one update from on-policy episodes. Same input, same bits.
 
@@ -76,7 +98,8 @@ def npg_step(
     more), and nothing is bootstrapped from where they blew up.
 
     Without signal (every reward of the batch is 0, or all advantages are equal) the policy keeps its parameters bit
-    for bit, since all it could follow is the value function's own error; the value function is still fitted.
+    for bit, since all it could follow is the value function's own error; the value function is still fitted. With
+    demonstrations it then follows these alone.
 
     Args:
         policy: the policy that played the episodes; mutated.
@@ -84,10 +107,13 @@ def npg_step(
         episodes: at least one; N steps in all.
         config: hyperparameters.
         rng: order of the value function's minibatches.
+        demonstrations: adds DAPG's term to the gradient: sum of grad log pi(a | s) over the demonstrations, weighted by
+            lambda_0 lambda_1^update and the largest advantage of the batch.
 
     Returns:
         Statistics, all plain Python numbers:
-            no_signal: True if the policy was left alone; kl, step_length and gradient_norm are then 0.
+            no_signal: True if the rewards gave no direction; without demonstrations kl, step_length and gradient_norm are 0.
+            demonstration_weight: of one demonstrated action against one sampled, 0 without demonstrations.
             kl: measured mean KL(old || new) over the batch [nats]; about config.step_size / 2.
             surrogate_before: mean likelihood ratio times normalised advantage under the old policy; 0 by construction.
             surrogate_after: the same under the new policy; above 0 if the batch would now be played better.
@@ -114,7 +140,8 @@ def npg_step(
         observations = torch.from_numpy(np.concatenate([episode.observations for episode in batch]))  # (N, n_obs)
         actions = torch.from_numpy(np.concatenate([episode.actions for episode in batch]))  # (N, n_act)
         advantages, returns, predicted = _advantages(value, batch, config)  # (N,) each
-        statistics = _improve(policy, observations, actions, advantages, config, _has_signal(batch, advantages))
+        pull = _pull(policy, demonstrations, config)
+        statistics = _improve(policy, observations, actions, advantages, config, _has_signal(batch, advantages), pull)
         statistics["value_loss"] = fit_value(value, observations, torch.from_numpy(returns), config, rng)
     return statistics | {
         "entropy": policy.entropy(),
@@ -215,12 +242,16 @@ def _improve(
     advantages: np.ndarray,
     config: NpgConfig,
     has_signal: bool,
+    pull: tuple[np.ndarray, float] | None,
 ) -> dict[str, Any]:
-    """Move the policy one normalised natural-gradient step up the surrogate, or not at all."""
+    """Move the policy one normalised natural-gradient step up the surrogate and towards demonstrations, or not at all."""
     keys = ("kl", "surrogate_before", "surrogate_after", "gradient_norm", "step_length", "cg_residual")
-    if not has_signal:
-        return {"no_signal": True} | dict.fromkeys(keys, 0.0)
-    weights = torch.from_numpy((advantages - advantages.mean()) / advantages.std())
+    if not has_signal and pull is None:
+        return {"no_signal": True, "demonstration_weight": 0.0} | dict.fromkeys(keys, 0.0)
+    if has_signal:
+        weights = torch.from_numpy((advantages - advantages.mean()) / advantages.std())
+    else:
+        weights = torch.zeros(len(advantages), dtype=torch.float64)
     old = torch.tensor(policy.parameters, requires_grad=True)
     old_log_prob = policy.log_prob(observations, actions, old)
 
@@ -230,6 +261,13 @@ def _improve(
 
     # The ratio is 1 at the old policy, so the surrogate's gradient there is that of weighted log likelihood.
     gradient = torch.autograd.grad((old_log_prob * weights).mean(), old, retain_graph=True)[0].numpy()
+    weight = 0.0
+    if pull is not None:
+        total, share = pull
+        # Both sums are divided by the number of sampled steps; normalised advantages are at most `best`.
+        best = float(weights.max()) if has_signal else 1.0
+        weight = share * best
+        gradient = gradient + weight / len(observations) * total
     fisher = fisher_vector_product(policy, observations, old, config.cg_damping)
     direction = conjugate_gradients(fisher, gradient, config.cg_iterations)
     change = _normalised_step(gradient, direction, config.step_size)
@@ -248,7 +286,20 @@ def _improve(
             "look for huge rewards or observations in the batch; the policy was left alone."
         )
     policy.set_parameters(new.numpy())
-    return {"no_signal": False} | dict(zip(keys, numbers, strict=True))
+    return {"no_signal": not has_signal, "demonstration_weight": weight} | dict(zip(keys, numbers, strict=True))
+
+
+def _pull(policy: GaussianPolicy, demonstrations: Demonstrations | None, config: NpgConfig) -> tuple[np.ndarray, float] | None:
+    """Gradient (P,) of the demonstrations' summed log likelihood and lambda_0 lambda_1^update; None where that is 0."""
+    if demonstrations is None or not len(demonstrations.observations):
+        return None
+    share = config.demonstration_weight * config.demonstration_decay**demonstrations.update
+    if share == 0.0:
+        return None
+    parameters = torch.tensor(policy.parameters, requires_grad=True)
+    observations, actions = (torch.from_numpy(np.array(a, np.float64)) for a in (demonstrations.observations, demonstrations.actions))
+    likelihood = policy.log_prob(observations, actions, parameters).sum()
+    return torch.autograd.grad(likelihood, parameters)[0].numpy(), share
 
 
 def fisher_vector_product(

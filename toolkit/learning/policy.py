@@ -459,3 +459,34 @@ def _rebuild(cls: type[_Network], header: dict[str, Any], arrays: dict[str, np.n
     network = cls._blank(header)
     network._fill(arrays, "copy")
     return network
+
+
+# -- checkpoints ---------------------------------------------------------------------------------------------
+
+
+def network_tensors(prefix: str, network: GaussianPolicy | ValueFunction) -> dict[str, np.ndarray]:
+    """All that is trained of a network and its normalisation, for a checkpoint; keys begin with the prefix."""
+    layers = network.layers()
+    return {f"{prefix}.parameters": network.parameters, f"{prefix}.shift": np.array(layers.shift),
+            f"{prefix}.scale": np.array(layers.scale)}  # fmt: skip
+
+
+def learner_tensors(prefix: str, policy: GaussianPolicy, value: ValueFunction) -> dict[str, np.ndarray]:
+    """Policy and value function, for a checkpoint; keys begin with the prefix."""
+    returns = np.array([value.return_shift, value.return_scale])
+    return network_tensors(f"{prefix}.policy", policy) | network_tensors(f"{prefix}.value", value) | {
+        f"{prefix}.returns": returns
+    }
+
+
+def load_network(tensors: dict[str, np.ndarray], prefix: str, network: GaussianPolicy | ValueFunction) -> None:
+    """What `network_tensors` stored, into a network of the same sizes."""
+    network.set_parameters(tensors[f"{prefix}.parameters"])
+    network.set_normalisation(tensors[f"{prefix}.shift"], tensors[f"{prefix}.scale"])
+
+
+def load_learner(tensors: dict[str, np.ndarray], prefix: str, policy: GaussianPolicy, value: ValueFunction) -> None:
+    """What `learner_tensors` stored, into networks of the same sizes."""
+    load_network(tensors, f"{prefix}.policy", policy)
+    load_network(tensors, f"{prefix}.value", value)
+    value.set_return_scale(*map(float, tensors[f"{prefix}.returns"]))
