@@ -16,7 +16,7 @@ from toolkit.demonstrations import Track, TrackScript
 from toolkit.errors import ToolkitError
 from toolkit.retargeting import HandModel, HandMotion, retarget, track_of
 from toolkit.simulation.plant import CLOSING, Plant, native_plant
-from toolkit.simulation.rollout import Trace, play
+from toolkit.simulation.rollout import Tape, Trace, play
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +120,10 @@ class Studio:
     def trace(self, demonstration: Demonstration) -> Trace:
         """The replay once more, for the viewer."""
         plant = self._plant(demonstration.scene.task)
-        qpos: list[np.ndarray] = []
+        tape = Tape(qpos=[])
         script = TrackScript(demonstration.track, np.array(demonstration.scene.task.goal_offset), CLOSING)
-        episode = play(plant, script, 0, np.zeros(1), qpos)
-        return Trace(plant.model, np.array(qpos), plant.goal, episode.success)
+        episode = play(plant, script, 0, np.zeros(1), tape)
+        return Trace(plant.model, np.array(tape.qpos), np.array(plant.goal), episode.success)
 
     def _plant(self, task: PickTask) -> Plant:
         """The robot with a task's object, whatever its goal; one per object, as compiling takes seconds."""
