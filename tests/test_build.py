@@ -85,15 +85,20 @@ def test_f_leaves_the_template_and_other_copies_alone(merged, space):
 
 
 def test_f_is_cheap(merged, space, record_property):
+    """Under 1 ms on an idle core; beside other work, no more than MuJoCo's own part of it allows for."""
     model, data = merged.new()
-    took = []
-    for index in range(60):
-        start = time.thread_time()
+    took = {"become": [], "mj_setConst": []}
+    for index in range(100):
+        started = time.thread_time()
         merged.become(space.betas[index % len(space.betas)], model, data)
-        took.append(time.thread_time() - start)
-    median = 1e3 * float(np.median(took))
+        became = time.thread_time()
+        mujoco.mj_setConst(model, data)
+        took["become"].append(became - started)
+        took["mj_setConst"].append(time.thread_time() - became)
+    median, floor = (1e3 * float(np.median(took[part])) for part in ("become", "mj_setConst"))
     record_property("milliseconds", median)
-    assert median < 5, f"F(alpha) takes {median:.2f} ms; the aim is 1 ms"
+    record_property("milliseconds_of_mj_setConst", floor)
+    assert median < max(1.0, 8.0 * floor), f"F(alpha) takes {median:.2f} ms, of which mj_setConst {floor:.2f} ms"
 
 
 def test_an_alpha_outside_the_space_builds_nothing(merged, space):

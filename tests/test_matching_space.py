@@ -12,16 +12,18 @@ from scipy.spatial.transform import Rotation
 from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
+from toolkit.morphology.arithmetic import bones, directions, principal, quaternion, turned
 from toolkit.morphology.matching import match, merged_slots
-from toolkit.morphology.space import (
-    axis_to_tangent,
-    gyration,
-    inertia_from_gyration,
-    tangent_basis,
-    tangents_to_axes,
-)  # fmt: skip
+from toolkit.morphology.space import axis_to_tangent, gyration, tangent_basis
 
 every_robot = pytest.mark.parametrize("name", list(ROBOTS))
+
+
+def inertia_from_gyration(mass, root):
+    """Inertias (n, 3, 3) by their definition: with the second moment S = m G G, I = tr(S) - S."""
+    matrix = root[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
+    moment = mass[:, None, None] * (matrix @ matrix)
+    return np.trace(moment, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moment
 
 
 def entries(space, theta):
@@ -169,7 +171,7 @@ def test_theta_at_beta_is_what_the_matching_read(space, name):
         np.testing.assert_allclose(
             inertia, joint.screw.inertia, rtol=1e-6, atol=1e-9, err_msg=space.matching.slots[row].name
         )
-    axes = tangents_to_axes(theta["axis"], space.axis_references, space.axis_bases)
+    axes = directions(theta["axis"], space.axis_references, space.axis_bases)
     for row, joint in enumerate(system.joints):
         if joint is not None:
             np.testing.assert_allclose(axes[row], joint.screw.axis, atol=1e-9, err_msg=space.matching.slots[row].name)
@@ -313,7 +315,7 @@ def test_an_axis_comes_back_from_its_tangent(first, second):
     tangent = axis_to_tangent(axis, reference)
     angle = np.arctan2(np.linalg.norm(np.cross(reference, axis)), reference @ axis)
     assert abs(np.linalg.norm(tangent) - angle) < 1e-9, f"tangent {np.linalg.norm(tangent)} long, angle {angle} rad"
-    back = tangents_to_axes(tangent[None], reference[None], np.array([tangent_basis(reference)]))[0]
+    back = directions(tangent[None], reference[None], np.array([tangent_basis(reference)]))[0]
     off = np.abs(back - axis).max()
     assert off < 1e-9, f"axis comes back {off:.1e} off"
 
@@ -326,5 +328,49 @@ def test_every_tangent_is_a_direction(reference, tangent):
     np.testing.assert_allclose(
         np.array([reference, first, second]) @ np.array([reference, first, second]).T, np.eye(3), atol=1e-12
     )
-    axis = tangents_to_axes(tangent[None], reference[None], basis[None])[0]
+    axis = directions(tangent[None], reference[None], basis[None])[0]
     assert abs(np.linalg.norm(axis) - 1) < 1e-12, f"axis of length {np.linalg.norm(axis)}"
+
+
+# -- compiled arithmetic, against NumPy, SciPy and MuJoCo ------------------------------------------------------
+
+
+@given(mass=st.floats(1e-3, 20.0), root=st.tuples(*[st.floats(-0.3, 0.3)] * 6).map(np.array))
+def test_principal_moments_in_their_frame_are_the_inertia(mass, root):
+    moments, frames = principal(np.array([mass]), root[None], 0.0)
+    rotation = Rotation.from_quat(frames[0], scalar_first=True).as_matrix()
+    wanted = inertia_from_gyration(np.array([mass]), root[None])[0]
+    assert abs(np.linalg.norm(frames[0]) - 1) < 1e-12
+    np.testing.assert_allclose(rotation @ np.diag(moments[0]) @ rotation.T, wanted, atol=1e-12 * max(1.0, mass))
+
+
+@given(turn=vectors)
+def test_a_quaternion_is_its_matrix(turn):
+    rotation = Rotation.from_rotvec(3 * turn)
+    back = Rotation.from_quat(quaternion(rotation.as_matrix()), scalar_first=True)
+    assert (back * rotation.inv()).magnitude() < 1e-7
+
+
+@given(turn=vectors, reference=vectors)
+def test_a_turn_comes_after_its_reference(turn, reference):
+    start = Rotation.from_rotvec(3 * reference)
+    got = turned(3 * turn[None], start.as_quat(scalar_first=True)[None])[0]
+    wanted = Rotation.from_rotvec(3 * turn) * start
+    assert (Rotation.from_quat(got, scalar_first=True) * wanted.inv()).magnitude() < 1e-7
+
+
+@given(anchor=vectors, tip=vectors)
+def test_a_bone_reaches_from_anchor_to_tip(anchor, tip):
+    assume(np.linalg.norm(tip - anchor) > 1e-6)
+    centre, frame, size = (out[0] for out in bones(anchor[None], tip[None], np.array([0.01]), 1e-5))
+    axis = Rotation.from_quat(frame, scalar_first=True).as_matrix()[:, 2]
+    reach = max(size[1], 0.5 * np.linalg.norm(tip - anchor))
+    np.testing.assert_allclose(anchor + centre + reach * axis, tip, atol=1e-9)
+    np.testing.assert_allclose(anchor + centre - reach * axis, anchor, atol=1e-9)
+    assert size[0] == 0.01
+
+
+def test_a_bone_straight_down_has_a_frame():
+    _, frame, size = bones(np.zeros((1, 3)), np.array([[0.0, 0.0, -0.4]]), np.array([0.01]), 1e-5)
+    np.testing.assert_allclose(Rotation.from_quat(frame[0], scalar_first=True).as_matrix()[:, 2], [0, 0, -1], atol=1e-12)
+    assert size[0, 1] == pytest.approx(0.2)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tasks.pick import (
     OBJECT_FRICTION,
@@ -22,6 +21,7 @@ from tasks.pick import (
     PickTask,
 )
 from toolkit.errors import ToolkitError
+from toolkit.morphology.arithmetic import bones, directions, finger_tips, principal, quaternion, turned
 from toolkit.morphology.space import (
     FREEZE_DECADES,
     FROZEN_ARM_ARMATURE,
@@ -32,8 +32,6 @@ from toolkit.morphology.space import (
     FROZEN_STIFFNESS,
     FROZEN_WIDE_DECADES,
     EvolutionSpace,
-    inertia_from_gyration,
-    tangents_to_axes,
 )
 
 MIN_MASS = 1e-9
@@ -48,6 +46,12 @@ HELD = 1e-6
 """A coupling is held from this share of its full impedance on, a pad from this stiffness [N m/rad] on."""
 SOFT = 0.5
 """Impedance of the constraint that holds a pad to its curve: it adds as much apparent inertia as the two joints have."""
+IMPEDANCE = np.array([0.9, 0.95])
+"""MuJoCo's default impedance of a constraint, at rest and displaced."""
+BOTH_WAYS = np.array([-1.0, 1.0])
+"""A limit times this is its range."""
+LOW_AND_WIDTH = np.array([[1.0, 1.0], [0.0, 1.0]])
+"""(low, width) @ this is (low, high)."""
 TOUCHES = 0.2
 """A geom collides from this presence on: a thinner sliver would prick the object rather than hold it."""
 BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
@@ -61,6 +65,7 @@ class Patch:
     """What F writes, as arrays over slots, shapes and couplings (all in MuJoCo's own meaning)."""
 
     body_pos: np.ndarray
+    grasp_pos: np.ndarray
     axis: np.ndarray
     mass: np.ndarray
     com: np.ndarray
@@ -100,22 +105,10 @@ class Patch:
     bone_size: np.ndarray
 
 
-def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments (n, 3) and their frames as quaternions (n, 4), w first, of inertias (n, 3, 3)."""
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
-    return np.maximum(moments, MIN_INERTIA), Rotation.from_matrix(axes).as_quat(scalar_first=True)
-
-
-def _bones(anchors: np.ndarray, tips: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Capsules from each anchor to its tip: positions in the link frame, quaternions, sizes (radius, half length, 0)."""
-    span = tips - anchors
-    length = np.linalg.norm(span, axis=1)
-    quats = np.zeros((len(anchors), 4))
-    for i, vector in enumerate(span):
-        mujoco.mju_quatZ2Vec(quats[i], vector if length[i] > 1e-9 else np.array([0.0, 0.0, 1.0]))
-    size = np.stack([radius, np.maximum(length / 2, MIN_SIZE), np.zeros_like(radius)], axis=1)
-    return span / 2, quats, size
+def _span(ids: np.ndarray) -> np.ndarray | slice:
+    """Consecutive indices as a slice, which NumPy writes to several times faster."""
+    ids = np.asarray(ids, int)
+    return slice(int(ids[0]), int(ids[-1]) + 1) if len(ids) and (np.diff(ids) == 1).all() else ids
 
 
 class MergedRobot:
@@ -133,33 +126,37 @@ class MergedRobot:
         self.space, self.task = space, task
         slots = space.matching.slots
         self._parents = np.array([slot.parent for slot in slots])
+        self._roots = np.flatnonzero(self._parents < 0)
         self._arm = space.matching.arm_size
         self._driven = [i for i in range(self._arm, len(slots)) if not slots[i].name.endswith("K")]
         self._shape_slot = np.array([s.slot for s in space.shape_slots])
         slim = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
         two = np.array([s.kind in slim for s in space.shape_slots])
         self._shape_dims = np.where(two[:, None], (1.0, 1.0, 0.0), 1.0)
-        self._shape_reference = Rotation.from_matrix(np.array([s.reference for s in space.shape_slots]))
+        self._shape_reference = np.array([quaternion(s.reference) for s in space.shape_slots])
         self._hold = self._holds()
-        self._tip_of = self._tips()
+        self._tip_of, self._ends = self._tips()
+        self._bone_radius = np.where(np.arange(len(slots)) < self._arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"])
         self.template = self.compile(space.betas[0])
 
     def _holds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Spring, damping and armature of each slot when frozen, and the decades over which they grow: (n_slots,) each."""
+        """Spring, damping and armature of each slot when frozen, and the e-folds over which they grow: (n_slots,) each."""
         sliding = np.array([slot.sliding for slot in self.space.matching.slots])
         arm = np.arange(len(sliding)) < self._arm
         spring = np.where(arm, FROZEN_ARM_STIFFNESS, np.where(sliding, FROZEN_SLIDE_STIFFNESS, FROZEN_STIFFNESS))
         armature = np.where(arm, FROZEN_ARM_ARMATURE, np.where(sliding, FROZEN_SLIDE_ARMATURE, FROZEN_ARMATURE))
         decades = np.where(arm | sliding, FROZEN_WIDE_DECADES, FREEZE_DECADES)
-        return spring, 2.0 * np.sqrt(spring * armature), armature, decades
+        return spring, 2.0 * np.sqrt(spring * armature), armature, np.log(10.0) * decades
 
-    def _tips(self) -> list[int]:
-        """For each slot the slot at whose anchor its visual bone ends; -1: at the finger's last shape or the palm."""
-        out = []
+    def _tips(self) -> tuple[np.ndarray, np.ndarray]:
+        """For each slot the slot at whose anchor its visual bone ends, or itself; and the slots where a finger ends."""
+        out = np.arange(len(self._parents))
         for index in range(len(self._parents)):
-            children = [c for c in np.flatnonzero(self._parents == index) if index < self._arm - 1 or index >= self._arm]
-            out.append(int(children[0]) if children else -1)
-        return out
+            children = np.flatnonzero(self._parents == index)
+            if index != self._arm - 1 and len(children):
+                out[index] = children[0]
+        ends = [i for i in range(self._arm, len(out)) if out[i] == i]
+        return out, np.array(ends)
 
     # ---- theta -> what MuJoCo wants ----------------------------------------------------------------------------
 
@@ -167,22 +164,23 @@ class MergedRobot:
         """Everything that F writes at ``alpha`` (D,)."""
         theta = self.space.theta(alpha)
         anchors = theta["anchor"]
-        parents = np.where(self._parents[:, None] >= 0, anchors[self._parents], 0.0)
+        body_pos = anchors - anchors[self._parents]
+        body_pos[self._roots] = anchors[self._roots]
         mass = np.maximum(theta["mass"][:, 0], MIN_MASS)
-        moments, frames = _principal(inertia_from_gyration(mass, theta["gyration"]))
+        moments, frames = principal(mass, theta["gyration"], MIN_INERTIA)
         freeze = theta["freeze"][:, 0]
-        lock_spring, lock_damping, lock_armature, decades = self._hold
-        locked = (10.0 ** (decades * freeze) - 1.0) / (10.0**decades - 1.0)
+        lock_spring, lock_damping, lock_armature, folds = self._hold
+        locked = np.expm1(folds * freeze) / np.expm1(folds)
         own_spring = theta["spring"][:, 0]
         spring = own_spring + locked * lock_spring  # the lock's spring rests at zero
         presence = theta["shape_presence"][:, 0]
-        rotation = Rotation.from_rotvec(theta["shape_rotation"]) * self._shape_reference
         size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
         held = theta["coupling_held"][:, 0]
         bone_pos, bone_quat, bone_size = self._bone_geometry(theta, presence)
         return Patch(
-            body_pos=anchors - parents,
-            axis=tangents_to_axes(theta["axis"], self.space.axis_references, self.space.axis_bases),
+            body_pos=body_pos,
+            grasp_pos=START_POSITION - anchors[self._arm - 1],
+            axis=directions(theta["axis"], self.space.axis_references, self.space.axis_bases),
             mass=mass,
             com=theta["com"] - anchors,
             inertia=moments,
@@ -198,7 +196,7 @@ class MergedRobot:
             gain=theta["stiffness"][self._driven, 0],
             force_limit=np.maximum(theta["force_limit"][self._driven, 0], 1e-9),
             shape_pos=theta["shape_position"] - anchors[self._shape_slot],
-            shape_quat=rotation.as_quat(scalar_first=True),
+            shape_quat=turned(theta["shape_rotation"], self._shape_reference),
             shape_size=size,
             shape_contact=np.where(presence > TOUCHES, HAND_BIT, 0),
             shape_friction=theta["shape_friction"],
@@ -206,12 +204,12 @@ class MergedRobot:
             shape_margin=theta["shape_margin"][:, 0],
             coupling=theta["coupling"],
             coupling_stiffness=theta["coupling_stiffness"][:, 0],
-            coupling_slack=np.cumsum(theta["coupling_slack"], axis=1),
+            coupling_slack=theta["coupling_slack"] @ LOW_AND_WIDTH,
             coupling_limits=theta["coupling_limits"],
             coupling_friction=theta["coupling_friction"][:, 0],
             # MuJoCo's defaults when fully held. Its constraint acceleration goes as 1 / (impedance * time^2), so a coupling
             # fades out in proportion to ``held`` only if its time constant grows as the impedance falls.
-            coupling_impedance=np.outer(held, (0.9, 0.95)),
+            coupling_impedance=held[:, None] * IMPEDANCE,
             coupling_time=0.02 / np.maximum(held, 1e-3),
             coupling_length=theta["coupling_length"][:, 0],
             coupling_held=held > HELD,
@@ -225,20 +223,11 @@ class MergedRobot:
 
     def _bone_geometry(self, theta: dict[str, np.ndarray], presence: np.ndarray) -> tuple[np.ndarray, ...]:
         anchors = theta["anchor"]
-        tips = anchors.copy()
-        for index, tip in enumerate(self._tip_of):
-            if tip >= 0:
-                tips[index] = anchors[tip]
-            elif index == self._arm - 1:
-                tips[index] = 0.5 * (anchors[index] + START_POSITION)
-            else:
-                own = np.flatnonzero(self._shape_slot == index)
-                if len(own):
-                    weights = presence[own] + 1e-6
-                    tips[index] = weights @ theta["shape_position"][own] / weights.sum()
-        is_arm = np.arange(len(anchors)) < self._arm
-        radius = np.where(is_arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"]) * (1 - theta["freeze"][:, 0])
-        return _bones(anchors, tips, np.maximum(radius, MIN_SIZE))
+        tips = anchors[self._tip_of]
+        tips[self._arm - 1] = 0.5 * (anchors[self._arm - 1] + START_POSITION)
+        finger_tips(tips, self._ends, self._shape_slot, presence, theta["shape_position"])
+        radius = self._bone_radius * (1.0 - theta["freeze"][:, 0])
+        return bones(anchors, tips, np.maximum(radius, MIN_SIZE), MIN_SIZE)
 
     # ---- from scratch ------------------------------------------------------------------------------------------
 
@@ -293,15 +282,9 @@ class MergedRobot:
             )  # fmt: skip
             bodies.append(body)
         flange = bodies[self._arm - 1]
-        quat = Rotation.from_matrix(START_ROTATION).as_quat(scalar_first=True)
-        flange.add_site(name="grasp", pos=START_POSITION - self._anchor_of(p, self._arm - 1), quat=quat)
+        quat = quaternion(START_ROTATION)
+        flange.add_site(name="grasp", pos=p.grasp_pos, quat=quat)
         return bodies
-
-    def _anchor_of(self, p: Patch, slot: int) -> np.ndarray:
-        position = np.zeros(3)
-        while slot >= 0:
-            position, slot = position + p.body_pos[slot], self._parents[slot]
-        return position
 
     def _add_shapes(self, bodies: list, p: Patch) -> None:
         for i, shape in enumerate(self.space.shape_slots):
@@ -393,9 +376,8 @@ class MergedRobot:
     def _set_contacts(self, model: mujoco.MjModel, p: Patch) -> None:
         """Contact bits of the hand's geoms, and of its bodies, which the broad phase looks at first."""
         model.geom_contype[self._shape] = p.shape_contact
-        bodies = model.geom_bodyid[self._shape]
-        model.body_contype[bodies] = 0
-        np.bitwise_or.at(model.body_contype, bodies, p.shape_contact)
+        model.body_contype[self._shape_body] = 0
+        model.body_contype[self._shape_body[p.shape_contact > 0]] = HAND_BIT
 
     def _soften(self, model: mujoco.MjModel, p: Patch) -> None:
         """Give the pads' constraints their stiffnesses.
@@ -410,21 +392,36 @@ class MergedRobot:
 
     def _address(self, model: mujoco.MjModel) -> None:
         slots = self.space.matching.slots
-        self._body = np.array([model.body(s.name).id for s in slots])
-        self._joint = np.array([model.joint(s.name).id for s in slots])
-        self._dof, self._qpos = model.jnt_dofadr[self._joint], model.jnt_qposadr[self._joint]
+        self._body = _span([model.body(s.name).id for s in slots])
+        joint = [model.joint(s.name).id for s in slots]
+        dof = model.jnt_dofadr[joint]
+        self._joint, self._dof, self._qpos = _span(joint), _span(dof), _span(model.jnt_qposadr[joint])
         self._bone = np.array([model.geom(f"{s.name}/bone").id for s in slots])
         self._shape = np.array([model.geom(s.name).id for s in self.space.shape_slots])
-        self._arm_actuator = np.array([model.actuator(s.name).id for s in slots[: self._arm]])
-        self._finger_actuator = np.array([model.actuator(slots[i].name).id for i in self._driven])
+        self._shape_body = model.geom_bodyid[self._shape]
+        self._shape_bounds, self._bone_bounds = self._bounds(model, self._shape), self._bounds(model, self._bone)
+        self._arm_actuator = _span([model.actuator(s.name).id for s in slots[: self._arm]])
+        self._finger_actuator = _span([model.actuator(slots[i].name).id for i in self._driven])
         self._grasp = model.site("grasp").id
         couplings = self.space.coupling_slots
-        self._tendon = np.array([model.tendon(c.name).id for c in couplings], int)
-        self._equality = np.array([model.equality(c.name).id for c in couplings], int)
+        tendon = np.array([model.tendon(c.name).id for c in couplings], int)
+        self._tendon, self._equality = _span(tendon), _span([model.equality(c.name).id for c in couplings])
         curves = self.space.curve_slots
-        self._curve = np.array([model.equality(c.name).id for c in curves], int)
-        self._curve_dofs = np.array([(self._dof[c.pad], self._dof[c.driven]) for c in curves], int).reshape(-1, 2)
-        self._wraps = [np.arange(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t]) for t in self._tendon]
+        self._curve = _span([model.equality(c.name).id for c in curves])
+        self._curve_dofs = np.array([(dof[c.pad], dof[c.driven]) for c in curves], int).reshape(-1, 2)
+        first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
+        self._wraps = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count, strict=True)] or [[]]).astype(int)
+        self._wrapped = np.arange(count.max(initial=0)) < count[:, None]
+
+    @staticmethod
+    def _bounds(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far geoms of these kinds reach: whether as far as radius plus half length (n,), and size -> extent (n, 3, 3)."""
+        capsule = np.array([[1.0, 0, 0], [1, 0, 0], [1, 1, 0]])
+        cylinder = np.array([[1.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        extents = {mujoco.mjtGeom.mjGEOM_CAPSULE: capsule, mujoco.mjtGeom.mjGEOM_CYLINDER: cylinder}
+        kinds = [mujoco.mjtGeom(kind) for kind in model.geom_type[geoms]]
+        round_ = np.array([kind == mujoco.mjtGeom.mjGEOM_CAPSULE for kind in kinds])
+        return round_, np.array([extents.get(kind, np.eye(3)) for kind in kinds])
 
     def new(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A model at the source and its data, ready to be patched and stepped."""
@@ -444,7 +441,7 @@ class MergedRobot:
         model.jnt_stiffnesspoly[self._joint, 0], model.qpos_spring[self._qpos] = p.spring_quadratic, p.spring_rest
         model.dof_damping[self._dof], model.dof_armature[self._dof] = p.damping, p.armature
         model.dof_frictionloss[self._dof] = p.friction_loss
-        model.site_pos[self._grasp] = START_POSITION - self._anchor_of(p, self._arm - 1)
+        model.site_pos[self._grasp] = p.grasp_pos
         self._patch_geoms(model, p)
         self._patch_actuation(model, p)
         mujoco.mj_setConst(model, data)
@@ -452,29 +449,25 @@ class MergedRobot:
         mujoco.mj_resetData(model, data)
 
     def _patch_geoms(self, model: mujoco.MjModel, p: Patch) -> None:
-        for ids, pos, quat, size in (
-            (self._shape, p.shape_pos, p.shape_quat, p.shape_size),
-            (self._bone, p.bone_pos, p.bone_quat, p.bone_size),
+        for ids, pos, quat, size, (round_, extent) in (
+            (self._shape, p.shape_pos, p.shape_quat, p.shape_size, self._shape_bounds),
+            (self._bone, p.bone_pos, p.bone_quat, p.bone_size, self._bone_bounds),
         ):
             model.geom_pos[ids], model.geom_quat[ids] = pos, quat
             model.geom_size[ids] = size
-            kind = model.geom_type[ids]
-            box, cylinder = kind == mujoco.mjtGeom.mjGEOM_BOX, kind == mujoco.mjtGeom.mjGEOM_CYLINDER
-            model.geom_rbound[ids] = np.where(box | cylinder, np.linalg.norm(size, axis=1), size[:, 0] + size[:, 1])
-            capsule_extent = np.stack([size[:, 0], size[:, 0], np.where(cylinder, 0.0, size[:, 0]) + size[:, 1]], axis=1)
-            model.geom_aabb[ids, 3:] = np.where(box[:, None], size, capsule_extent)
+            model.geom_rbound[ids] = np.where(round_, size[:, 0] + size[:, 1], np.sqrt((size * size).sum(axis=1)))
+            model.geom_aabb[ids, 3:] = (extent @ size[:, :, None])[:, :, 0]
         self._set_contacts(model, p)
         model.geom_friction[self._shape] = p.shape_friction
         model.geom_solref[self._shape] = p.shape_solref
         model.geom_margin[self._shape] = p.shape_margin
 
     def _patch_actuation(self, model: mujoco.MjModel, p: Patch) -> None:
-        model.actuator_ctrlrange[self._arm_actuator] = np.stack([-p.torque_limit, p.torque_limit], axis=1)
+        model.actuator_ctrlrange[self._arm_actuator] = p.torque_limit[:, None] * BOTH_WAYS
         model.actuator_gainprm[self._finger_actuator, 0] = p.gain
         model.actuator_biasprm[self._finger_actuator, 1] = -p.gain
-        model.actuator_forcerange[self._finger_actuator] = np.stack([-p.force_limit, p.force_limit], axis=1)
-        for i, wraps in enumerate(self._wraps):
-            model.wrap_prm[wraps] = p.coupling[i, : len(wraps)]
+        model.actuator_forcerange[self._finger_actuator] = p.force_limit[:, None] * BOTH_WAYS
+        model.wrap_prm[self._wraps] = p.coupling[self._wrapped]
         model.tendon_stiffness[self._tendon] = p.coupling_stiffness
         model.tendon_lengthspring[self._tendon] = p.coupling_slack
         model.tendon_range[self._tendon] = p.coupling_limits

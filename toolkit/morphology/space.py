@@ -101,14 +101,6 @@ def gyration(mass: float, inertia: np.ndarray) -> np.ndarray:
     return root[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def inertia_from_gyration(mass: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Inertias (n, 3, 3) [kg m^2] about the centre of mass from masses (n,) and gyration entries (n, 6)."""
-    matrix = root[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
-    moment = mass[:, None, None] * (matrix @ matrix)
-    trace = np.trace(moment, axis1=1, axis2=2)
-    return trace[:, None, None] * np.eye(3) - moment
-
-
 def tangent_basis(reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors orthogonal to the unit vector ``reference`` (3,) and to each other."""
     helper = np.eye(3)[np.argmin(np.abs(reference))]
@@ -124,13 +116,6 @@ def axis_to_tangent(axis: np.ndarray, reference: np.ndarray) -> np.ndarray:
     flat = np.array([first @ axis, second @ axis])
     norm = np.linalg.norm(flat)
     return angle * flat / norm if norm > 0 else np.array([angle, 0.0])
-
-
-def tangents_to_axes(tangents: np.ndarray, references: np.ndarray, bases: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) from tangents (n, 2) [rad] at references (n, 3), whose tangent bases are (n, 2, 3)."""
-    angle = np.linalg.norm(tangents, axis=1, keepdims=True)
-    flat = np.einsum("nk,nkd->nd", tangents, bases)
-    return np.cos(angle) * references + np.sinc(angle / np.pi) * flat
 
 
 def _borrowed(rows: list[np.ndarray | None]) -> np.ndarray:
@@ -258,7 +243,13 @@ class EvolutionSpace:
         self._span = np.array([p.high - p.low for p in self.parameters])
         self._dimension = np.array([p.dimension for p in self.parameters])
         self._flipped = np.array([p.flipped for p in self.parameters])
+        self._offset, self._sense = np.where(self._flipped, 1.0, 0.0), np.where(self._flipped, -1.0, 1.0)
+        self._places = np.array(self._positions)
         self._flat = np.concatenate([f.values[0].ravel() for f in self.fields.values()])
+        self._cuts, start = [], 0
+        for f in self.fields.values():
+            self._cuts.append((f.name, start, start + f.values[0].size, f.values.shape[1:]))
+            start += f.values[0].size
 
     # ---- what the parameters are -------------------------------------------------------------------------------
 
@@ -455,23 +446,16 @@ class EvolutionSpace:
         Raises:
             ToolkitError: wrong size, not finite, or outside [0, 1].
         """
-        alpha = self.checked(alpha)
-        a = alpha[self._dimension]
         flat = self._flat.copy()
-        flat[self._positions] = self._low + np.where(self._flipped, 1.0 - a, a) * self._span
-        out, offset = {}, 0
-        for name, f in self.fields.items():
-            size = f.values[0].size
-            out[name] = flat[offset : offset + size].reshape(f.values.shape[1:])
-            offset += size
-        return out
+        flat[self._places] = self._low + (self._offset + self._sense * self.checked(alpha)[self._dimension]) * self._span
+        return {name: flat[start:stop].reshape(shape) for name, start, stop, shape in self._cuts}
 
     def checked(self, alpha: np.ndarray) -> np.ndarray:
         """``alpha`` as float64, refused if it is no point of the space."""
         alpha = np.asarray(alpha, float)
         if alpha.shape != (self.size,):
             raise ToolkitError(f"alpha has shape {alpha.shape}; this evolution space has {self.size} dimensions")
-        if not np.all(np.isfinite(alpha)) or alpha.min() < 0 or alpha.max() > 1:
+        if not (alpha.min() >= 0 and alpha.max() <= 1):  # nan is neither
             worst = int(np.argmax(np.where(np.isfinite(alpha), np.abs(alpha - 0.5), np.inf)))
             raise ToolkitError(f"alpha[{worst}] = {alpha[worst]} lies outside [0, 1]")
         return alpha
