@@ -174,8 +174,9 @@ def test_two_robots_with_one_name_are_refused(tmp_path, monkeypatch):
     package = tmp_path / "twins"
     package.mkdir()
     (package / "__init__.py").write_text("")
+    code = "from dataclasses import replace\nfrom robots import ROBOTS\nCARD = replace(ROBOTS['panda'])\n"
     for module in ("one", "other"):
-        (package / f"{module}.py").write_text("from dataclasses import replace\nfrom robots import ROBOTS\nCARD = replace(ROBOTS['panda'])\n")
+        (package / f"{module}.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     __import__("twins")
     with pytest.raises(ValueError, match="one.py and other.py in twins/ both describe 'panda'; rename one of the two"):
@@ -202,7 +203,8 @@ def test_other_mistakes_are_named(robot, sentence):
 
 
 def test_a_slide_cannot_play_a_hinge():
-    found = findings(with_gripper(joints={"FFJ2": "finger_joint1", "THS": "finger_joint2"}, targets={"FFJ2": (0.04, 0.0), "THS": (-0.04, 0.0)}))
+    joints, targets = {"FFJ2": "finger_joint1", "THS": "finger_joint2"}, {"FFJ2": (0.04, 0.0), "THS": (-0.04, 0.0)}
+    found = findings(with_gripper(joints=joints, targets=targets))
     assert found == ["gripper panda_gripper: joint 'finger_joint1' is a slide and cannot play FFJ2; give it FFS or THS"]
 
 
