@@ -266,6 +266,27 @@ def test_a_tree_in_words_and_as_a_picture(capsys, points):
     assert Path("tree.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_tree_of_points_as_its_targets_join(capsys, points):
+    found = answer(capsys, "tree", "--points", points, "--growth")
+    assert [cost["length"] for cost in found["growth"]] == pytest.approx([1.6, 2.3]) and found["length"] == pytest.approx(2.3)
+    assert "leave out --points or --arms" in refusal(capsys, "tree", "--points", points, "--arms")
+    assert "effort is -1" in refusal(capsys, "tree", "--points", points, "--effort", "-1")
+    main(["tree", "--points", points, "--growth"])
+    assert "Targets joining one by one" in capsys.readouterr().out
+
+
+def test_trees_are_timed(capsys):
+    found = answer(capsys, "bench", "tree", "--terminals", "4", "8", "--dimensions", "20", "--longer", "2")
+    assert [(t["metric"], t["terminals"], t["optimal"]) for t in found["trees"]] == [
+        ("l1", 4, True), ("l1", 8, True), ("l2", 4, True), ("l2", 8, False),
+    ]  # fmt: skip
+    for timing in found["trees"]:
+        assert timing["seconds"] > 0 and timing["length"] >= timing["best_known"] > 0 and timing["excess"] >= 0
+        assert timing["gap"] == pytest.approx(max(0, 1 - timing["lower_bound"] / timing["length"]))
+    assert "terminals are 1" in refusal(capsys, "bench", "tree", "--terminals", "1")
+    assert "dimensions is 0" in refusal(capsys, "bench", "tree", "--dimensions", "0")
+
+
 def test_truncated_points_are_refused(capsys, points):
     Path(points).write_text(json.dumps(POINTS)[:60])
     assert refusal(capsys, "tree", "--points", points).startswith("points.json is not JSON")
@@ -321,10 +342,27 @@ def lab(monkeypatch, space, merged, task):
     return made
 
 
-def test_the_tree_of_the_robots(capsys, lab):
-    found = answer(capsys, "tree")
+def test_the_tree_of_the_robots(capsys, monkeypatch, space):
+    """With what the tree would cost for the hand on the other arms, and as the targets join."""
+    import toolkit.survey
+
+    made = []
+
+    def as_points(robots):
+        made.append([robot.name for robot in robots])
+        points = {name: toolkit.survey.Terminal(name, space.beta(name)) for name in space.matching.names}
+        # the hand on another arm stands where the source does, a little aside
+        return [points.get(r.name, toolkit.survey.Terminal(r.name, 0.9 * points["adroit"].alpha + 0.05)) for r in robots]
+
+    monkeypatch.setattr(toolkit.survey, "as_points", as_points)
+    found = answer(capsys, "tree", "--arms", "--growth")
     check_tree(found, "adroit", TARGETS)
-    assert found["optimal"] and all(len(node["alpha"]) == lab.space.size for node in found["nodes"])
+    assert found["optimal"] and all(len(node["alpha"]) == space.size for node in found["nodes"])
+    assert made == [["adroit", *TARGETS], ["adroit", "adroit_on_jaco", "adroit_on_iiwa", *TARGETS]]
+    lengths = [cost["length"] for cost in found["arms"]]
+    assert lengths == sorted(lengths) and {cost["arm"] for cost in found["arms"]} == {"Kinova3", "Jaco", "IIWA"}
+    assert [cost["targets"] for cost in found["growth"]] == [list(TARGETS[:1]), list(TARGETS[:2]), list(TARGETS)]
+    assert found["growth"][-1]["length"] == found["length"]
 
 
 def test_the_match_of_the_robots(capsys, lab):

@@ -17,11 +17,16 @@ from toolkit.evolution import (
     METRICS,
     Terminal,
     evolution_tree,
+    l1,
+    l2,
     load_points,
     next_meta_robot,
     plot_tree,
     tree_from_points,
 )
+from toolkit.evolution.bounds import tour_bound
+from toolkit.evolution.parsimony import search, stepwise_addition, tree_length
+from toolkit.evolution.topology import graft, postorder, prune, reroot
 
 SCIPY = {"l1": "cityblock", "l2": "euclidean"}
 
@@ -144,16 +149,93 @@ def test_l1_optimum_does_not_depend_on_who_is_the_source():
     assert np.ptp(lengths) < 1e-10
 
 
-def test_the_beam_beyond_the_exact_limit_is_honest():
-    points = np.random.default_rng(9).random((11, 6))
-    tree = tree_of(points)
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("count", [11, 14, 20])
+def test_beyond_the_exact_limit_the_answer_is_honest(metric, count):
+    points = np.random.default_rng(9).random((count, 6))
+    tree = tree_of(points, metric)
     check_tree(tree)
-    assert tree.length <= mst(points, "l1")
-    assert tree.lower_bound >= max(mst(points, "l1") / 2, tree_of(points[:8]).length * 0.5)
+    assert tree.length <= mst(points, metric) + 1e-9
+    assert mst(points, metric) / 2 <= tree.lower_bound <= tree.length
     assert tree.optimal == (tree.length - tree.lower_bound <= 1e-8 * tree.length)
-    euclid = tree_of(points, "l2")
-    check_tree(euclid)
-    assert not euclid.optimal and mst(points, "l2") / 2 <= euclid.lower_bound < euclid.length <= mst(points, "l2")
+    assert not tree.optimal or (metric == "l1" and count == 11)
+
+
+def test_the_local_search_alone_finds_what_the_proof_finds():
+    """Ten random instances of nine robots, each proven; the search knows nothing of the proof, nor the proof's order of it."""
+    for seed in range(10):
+        points = np.random.default_rng(seed).random((9, 30))
+        proven = tree_of(points)
+        assert proven.optimal
+        _, _, found = search(points, 2000, seed)
+        assert found == pytest.approx(proven.length, rel=1e-10), f"seed {seed}: {found / proven.length - 1:.2%} too long"
+
+
+def test_the_l2_search_alone_finds_what_the_proof_finds(monkeypatch):
+    for seed in range(4):
+        points = np.random.default_rng(seed).random((7, 10))
+        proven = tree_of(points, "l2")
+        monkeypatch.setattr(l2, "EXACT_UP_TO", 3)
+        found = tree_of(points, "l2")
+        monkeypatch.undo()
+        assert proven.optimal and not found.optimal
+        assert found.length == pytest.approx(proven.length, rel=1e-7), f"seed {seed}"
+
+
+def test_a_search_that_works_longer_finds_no_longer_tree():
+    points = np.random.default_rng(17).random((14, 20))
+    source, targets = robots(points)
+    short, long = (evolution_tree(source, targets, effort=effort).length for effort in (0.02, 0.2))
+    assert long <= short
+    for effort in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ToolkitError, match="effort"):
+            evolution_tree(source, targets, effort=effort)
+
+
+def test_a_proof_that_ran_out_of_budget_claims_nothing(monkeypatch):
+    points = np.random.default_rng(18).random((9, 30))
+    proven = tree_of(points)
+    monkeypatch.setattr(l1, "PROOF_WORK", 4_000)
+    stopped = tree_of(points)
+    assert proven.optimal and not stopped.optimal and stopped.lower_bound < proven.length <= stopped.length
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_the_tour_bound_is_a_bound_and_beats_half_a_spanning_tree(metric):
+    for seed in range(5):
+        points = np.random.default_rng(seed).random((7, 8))
+        bound, best = tour_bound(points, metric), tree_of(points, metric).length
+        assert mst(points, metric) / 2 < bound <= best
+    chain = np.linspace(0, 1, 6)[:, None] * np.ones(3)
+    short = 1 - tour_bound(chain, metric) / tree_of(chain, metric).length
+    assert 0 <= short + 1e-12 < 0.01, f"a chain's tour is its double, but the bound is {short:.2%} short of it"
+
+
+# --------------------------------------------------------------------------- topologies as arrays, by hypothesis
+
+
+@settings(max_examples=40)
+@given(st.integers(3, 9), st.integers(0, 10_000))
+def test_surgery_keeps_a_tree_a_tree(n, seed):
+    """Grafts, prunes and reroots in random order: every node keeps its one parent, and the length does not depend on the root."""
+    rng = np.random.default_rng(seed)
+    points = rng.random((n, 4))
+    parent, kids = stepwise_addition(points, 1 + rng.permutation(n - 1))
+    for _ in range(5):
+        node = int(rng.choice([v for v in range(1, 2 * n - 2) if parent[v] != 0]))
+        hub, place = parent[node], prune(parent, kids, node)
+        graft(parent, kids, node, hub, place)
+        length, root = tree_length(points, parent, kids), int(rng.integers(n))
+        reroot(parent, kids, 0, root)
+        assert parent[root] == -1 and kids[root, 1] == -1
+        reroot(parent, kids, root, 0)
+        assert tree_length(points, parent, kids) == pytest.approx(length)
+    order = np.empty(n, np.int64)
+    assert postorder(kids, 0, order) == n - 2 and parent[0] == -1
+    for node in range(1, 2 * n - 2):
+        assert node in kids[parent[node]] and (kids[node] >= 0).all() == (node >= n)
+    edges = [(node, int(parent[node])) for node in range(1, 2 * n - 2)]
+    assert tree_length(points, parent, kids) == pytest.approx(hanan_length(edges, points))
 
 
 # ------------------------------------------------------------------------------------- cases known by hand
@@ -365,6 +447,47 @@ def test_ties_do_not_flap_on_a_lattice():
         assert spread < 1e-9 or steps[0].splits
 
 
+@pytest.mark.parametrize("metric, count, dimensions", [("l1", 9, 40), ("l1", 5, 4), ("l2", 6, 20)])
+def test_tiny_moves_beside_the_way_do_not_flap(metric, count, dimensions):
+    """A walk to the first meta robot that strays by up to 1e-6 at every step: one partition, one meta robot, no change."""
+    rng = np.random.default_rng(19)
+    source, targets = robots(rng.random((count, dimensions)))
+    meta = next_meta_robot(source, targets, metric).meta_alpha
+    partitions, metas_seen = [], []
+    for share in np.linspace(0, 0.999, 25):
+        alpha = source.alpha + share * (meta - source.alpha) + 1e-6 * rng.uniform(-1, 1, dimensions)
+        step = next_meta_robot(Terminal("now", alpha), targets, metric)
+        partitions.append(step.partition)
+        metas_seen.append(step.meta_alpha)
+    changes = sum(a != b for a, b in zip(partitions, partitions[1:], strict=False))
+    assert changes == 0 and len(partitions[0]) == 1, f"{changes} changes of partition in 25 steps"
+    assert np.ptp(metas_seen, axis=0).max() < 1e-4, "the meta robot jumped"
+
+
+def test_a_whole_transfer_of_small_steps_splits_once_per_meta_robot():
+    """Algorithm 1's loop with replans at every step of xi, from the source to all of eight targets: partitions only get finer."""
+    rng = np.random.default_rng(20)
+    source, targets = robots(rng.random((9, 20)))
+    xi, splits, replans = 0.15, 0, 0
+    pending = [(source.alpha, targets)]
+    while pending:
+        alpha, left = pending.pop()
+        while True:
+            step, replans = next_meta_robot(Terminal("now", alpha), left), replans + 1
+            left = [t for t in left if t.name not in step.reached]
+            if not left:
+                break
+            if step.splits:
+                splits += 1
+                pending += [(alpha, [t for t in left if t.name in part]) for part in step.partition]
+                break
+            way = step.meta_alpha - alpha
+            distance = np.linalg.norm(way)
+            alpha = step.meta_alpha if distance <= xi else alpha + way * (xi / distance)
+    assert splits <= 7, f"{splits} splits for eight targets in {replans} replans"
+    assert replans > 60
+
+
 def test_following_the_steps_to_the_end_costs_the_length_of_the_tree():
     points = np.random.default_rng(5).random((6, 40))
     source, targets = robots(points)
@@ -412,15 +535,16 @@ def test_independent_splits_at_once():
 # -------------------------------------------------------------------------------------------------- speed
 
 
-@pytest.mark.parametrize("n, d, limit", [(4, 300, 0.010), (8, 105, 0.100)])
-def test_speed(n, d, limit):
+@pytest.mark.parametrize("metric, n, d, limit", [("l1", 4, 300, 0.010), ("l2", 4, 300, 0.010), ("l1", 9, 105, 0.100)])
+def test_a_replan_with_three_and_with_eight_targets_is_quick(metric, n, d, limit):
+    """CPU time of the one thread, since other processes may use the machine."""
     source, targets = robots(np.random.default_rng(14).random((n, d)))
     times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        next_meta_robot(source, targets)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 3 * limit, f"best of five: {min(times) * 1e3:.1f} ms (three times the goal, for a busy machine)"
+    for _ in range(6):  # the first one may compile
+        start = time.thread_time()
+        next_meta_robot(source, targets, metric)
+        times.append(time.thread_time() - start)
+    assert min(times) < 3 * limit, f"best of six: {min(times) * 1e3:.1f} ms (three times the goal, for a busy machine)"
 
 
 # ------------------------------------------------------------------------------------------- files and errors

@@ -34,7 +34,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 """Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
 
 
-def _check_roles(source: Robot, targets: Sequence[Robot]) -> None:
+def check_roles(source: Robot, targets: Sequence[Robot]) -> None:
+    """Refuse a source among the targets, a target named twice, and no targets."""
     names = [robot.name for robot in targets]
     if source.name in names:
         raise ToolkitError(f"{source.name!r} is both source and target; leave it out of the targets")
@@ -61,7 +62,7 @@ class Job:
     evaluation_episodes: int = 200
 
     def __post_init__(self) -> None:
-        _check_roles(self.source, self.targets)
+        check_roles(self.source, self.targets)
 
     def config(self) -> dict[str, Any]:
         """As written to config.json, and compared on --resume."""
@@ -98,7 +99,7 @@ class Lab:
     """
 
     def __init__(self, source: Robot, targets: Sequence[Robot], task: PickTask) -> None:
-        _check_roles(source, targets)
+        check_roles(source, targets)
         self.source, self.targets, self.task = source, tuple(targets), task
         self.space = EvolutionSpace(match([source, *targets]))
         self.merged = MergedRobot(self.space, task)

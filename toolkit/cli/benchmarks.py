@@ -215,3 +215,45 @@ def bench_walk(
         return
     table(f"{source}'s expert along the tree", ["from", "to", "share", "successes", "diverged"],
           [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])  # fmt: skip
+
+
+@bench.command(name="tree")
+def bench_tree(
+    terminals: tuple[int, ...] = tuple(range(4, 21)),
+    dimensions: int = 105,
+    metric: tuple[Metric, ...] = ("l1", "l2"),
+    seed: int = 0,
+    longer: float = 0.0,
+    json: bool = False,
+) -> None:
+    """Time the shortest tree over random points, and say how far its proof reaches.
+
+    Args:
+        terminals: how many robots, source included.
+        dimensions: D of the evolution space.
+        metric: distance between robots.
+        seed: of the points.
+        longer: also search so many times longer, and compare; 20 takes minutes.
+        json: print one JSON object.
+    """
+    from toolkit.evolution.timing import time_trees
+    from toolkit.evolution.tree import MAX_TERMINALS
+
+    if not terminals or min(terminals) < 2 or max(terminals) > MAX_TERMINALS:
+        raise ToolkitError(f"terminals are {', '.join(map(str, terminals)) or 'none'}; give numbers from 2 to {MAX_TERMINALS}")
+    if dimensions < 1 or seed < 0 or not 0 <= longer < 1e6:
+        raise ToolkitError(f"dimensions is {dimensions}, seed {seed}, longer {longer}; give at least 1, 0 and 0")
+    found = []
+    with Progress("trees", quiet=json) as progress:
+        for timing in time_trees(terminals, dimensions, metric, seed, longer):
+            found.append(timing)
+            detail = f"{timing.terminals} robots in {1e3 * timing.seconds:.0f} ms"
+            progress.show(timing.metric.upper(), detail, len(found), len(terminals) * len(metric))
+    if json:
+        emit({"dimensions": dimensions, "seed": seed, "trees": [asdict(timing) for timing in found]}, True, "")
+        return
+    excess = lambda t: "" if t.excess is None else f"{t.excess:.2%}"  # noqa: E731
+    table(f"Shortest trees over random points, D = {dimensions}",
+          ["metric", "robots", "ms", "ms of CPU", "length", "lower bound", "gap", "proven", "above the longer search"],
+          [[t.metric.upper(), t.terminals, f"{1e3 * t.seconds:.1f}", f"{1e3 * t.cpu_seconds:.1f}", f"{t.length:.3f}",
+            f"{t.lower_bound:.3f}", f"{t.gap:.1%}", "yes" if t.optimal else "no", excess(t)] for t in found])  # fmt: skip

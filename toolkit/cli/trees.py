@@ -1,9 +1,11 @@
 """tree: the shortest way from the source to all targets."""
 
+from dataclasses import asdict
 from pathlib import Path
 
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, make_lab
+from toolkit.cli.names import TARGETS, Kind, Metric, find_robot
 from toolkit.cli.terminal import emit, table
+from toolkit.errors import ToolkitError
 
 
 def tree(
@@ -12,6 +14,9 @@ def tree(
     points: Path | None = None,
     metric: Metric = "l1",
     kind: Kind = "steiner",
+    arms: bool = False,
+    growth: bool = False,
+    effort: float = 1.0,
     plot: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -23,24 +28,49 @@ def tree(
         points: read source and targets from a JSON file instead: {"source": {"name", "alpha"}, "targets": [...]}.
         metric: distance between robots.
         kind: steiner (shortest tree), geometric-median (one meta robot) or independent (one path per target).
-        plot: draw the tree into this file (PNG, PDF or SVG).
+        arms: also compare the source's hand on every arm among the targets, and suggest the one whose tree is shortest.
+        growth: also show how the tree grows as the targets join one by one.
+        effort: how long to search and prove; 1 suits a replan, 20 takes up to half a minute with 11 to 20 robots.
+        plot: draw the tree and its table into this file (PNG, PDF or SVG).
         json: print one JSON object.
     """
+    if arms and points is not None:
+        raise ToolkitError("--arms needs robots with arms, which a points file does not have; leave out --points or --arms")
     from toolkit.evolution import evolution_tree, load_points, plot_tree
 
+    more = {}
     if points is not None:
         start, goals = load_points(points)
-        found = evolution_tree(start, goals, metric, kind)
     else:
-        found = make_lab(source, targets, TASK).tree(metric, kind)
+        systems = [find_robot(name) for name in (source, *targets)]
+        from toolkit.pipeline import check_roles
+        from toolkit.survey import as_points, compare_arms
+
+        check_roles(systems[0], systems[1:])
+        start, *goals = as_points(systems)
+        if arms:
+            more["arms"] = [asdict(cost) for cost in compare_arms(systems[0], systems[1:], metric)]
+    found = evolution_tree(start, goals, metric, kind, effort)
+    if growth:
+        from toolkit.survey import growth as grown
+
+        more["growth"] = [asdict(cost) for cost in grown(start, goals, metric)]
     if plot is not None:
         plot_tree(found, plot)
     if json:
-        emit(found.to_json(), True, "")
+        emit(found.to_json() | more, True, "")
         return
     names = [node.name for node in found.nodes]
     table(f"{kind} tree, {metric.upper()}", ["from", "to", "length"],
            [[names[e.start], names[e.end], f"{e.length:.2f}"] for e in found.edges])  # fmt: skip
-    proof = "proven shortest" if found.optimal else f"no tree is shorter than {found.lower_bound:.2f}"
+    proof = "proven shortest of its kind" if found.optimal else f"no tree is shorter than {found.lower_bound:.2f}"
     print(f"Length {found.length:.2f} ({proof}); independent paths {found.independent_length:.2f}; "
           f"ratio {found.ratio:.2f}, the saving that the tree promises.")  # fmt: skip
+    columns = ["length", "independent paths", "ratio", "proven"]
+    numbers = lambda c: [f"{c['length']:.2f}", f"{c['independent_length']:.2f}", f"{c['ratio']:.2f}", "yes" if c["optimal"] else "no"]  # noqa: E731
+    if growth:
+        table("Targets joining one by one", ["with", *columns], [[c["targets"][-1], *numbers(c)] for c in more["growth"]])
+    if arms:
+        best = more["arms"][0]
+        table("The hand on other arms", ["arm", *columns], [[c["arm"], *numbers(c)] for c in more["arms"]])
+        print(f"The best arm for the source is {best['arm']}: the tree to these targets is shortest from there.")

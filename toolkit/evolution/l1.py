@@ -21,10 +21,14 @@ from toolkit.evolution.topology import clades, graft, postorder, seed_tree
 
 EXACT_BEYOND = 12
 """With more terminals no proof is attempted."""
+SEARCH_BEYOND = 9
+"""With more terminals the proof starts from what the local search found."""
 PROOF_WORK = 28_000_000
 """Partial trees, times their edges, times words per edge, that a proof may look at; more than all of them for 10 terminals."""
-SEARCH_WORK = 100_000_000
-"""Trees, times their edges, times dimensions, that the local search may price."""
+SEARCH_WORK = 80_000_000
+"""Trees, times their edges, times dimensions (and the cost of about PER_EDGE more), that the local search may price."""
+PER_EDGE = 60
+"""What an edge costs beside its dimensions, in dimensions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +255,8 @@ def _branch_and_bound(
     return best_parent, best_kids, upper, found, True
 
 
-def shortest_l1(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The shortest tree over n distinct points (n, D), rooted at the first.
+def shortest_l1(points: np.ndarray, effort: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
+    """The shortest tree over n distinct points (n, D), rooted at the first; ``effort`` scales what proof and search may cost.
 
     Among equally short trees it is the one that shares the first stretch longest, and among those the one whose topology comes
     first in lexicographic order: a choice that does not change while the first point moves along that stretch.
@@ -263,20 +267,18 @@ def shortest_l1(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     n = len(points)
     if n < 3:
         return points, np.array([-1, 0][:n]), np.inf
-    if n == 3:
-        parent, kids = parsimony.stepwise_addition(points, np.array([1, 2]))
-        return parsimony.embed(points, parent, kids), parent, np.inf
     varied = np.ascontiguousarray(points[:, np.ptp(points, axis=0) > 0])
-    trees = SEARCH_WORK // (2 * n * varied.shape[1])
-    parent, kids, length = parsimony.search(varied, 0 if n < 10 else trees // 20 if n <= EXACT_BEYOND else trees, 0)
+    parent, kids, length = np.empty(0), np.empty(0), np.inf
+    if n > SEARCH_BEYOND:  # a short tree to start from; with fewer terminals the proof finds its own as fast
+        trees = int(effort * SEARCH_WORK) // (2 * n * (varied.shape[1] + PER_EDGE))
+        parent, kids, length = parsimony.search(varied, trees // 20 if n <= EXACT_BEYOND else trees, 0)
     if n > EXACT_BEYOND:
         return parsimony.embed(points, parent, kids), parent, tour_bound(points, "l1")
     splits = Splits.of(varied)
-    budget = PROOF_WORK // (2 * n * splits.bits.shape[1])
-    parent_2, kids_2, least, found, complete = _branch_and_bound(
-        splits.bits, splits.table, length - splits.constant, TIE * length, budget
-    )
+    budget = max(4 * n, int(effort * PROOF_WORK) // (2 * n * splits.bits.shape[1]))  # 4 n reach a whole tree
+    slack = TIE * float(np.ptp(varied, axis=0).sum())  # of a length that no tree undercuts
+    *proven, least, found, complete = _branch_and_bound(splits.bits, splits.table, length - splits.constant, slack, budget)
     if found:
-        parent, kids = parent_2, kids_2
+        parent, kids = proven
     bound = least + splits.constant if complete else tour_bound(points, "l1")
     return parsimony.embed(points, parent, kids), parent, bound

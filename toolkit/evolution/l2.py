@@ -28,8 +28,8 @@ Tree = tuple[np.ndarray, np.ndarray, np.ndarray]
 """places (2n-2, d), parent, kids of a tree rooted at leaf 0."""
 
 
-def shortest_l2(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The shortest tree over n distinct points (n, D), rooted at the first.
+def shortest_l2(points: np.ndarray, effort: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
+    """The shortest tree over n distinct points (n, D), rooted at the first; ``effort`` scales what the local search may cost.
 
     Returns:
         (2n-2, D) nodes, the points first; (2n-2,) the node above each, -1 for the first; and a length that no tree undercuts.
@@ -41,7 +41,7 @@ def shortest_l2(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     flat, axes = _flatten((points - origin) / scale)
     upper, found = np.inf, []
     if n > 3:
-        found.append(_local_search(flat, kicks=n > EXACT_UP_TO))
+        found.append(_local_search(flat, effort if n > EXACT_UP_TO else 0.0))
         upper = _length(found[0])
     complete = n <= EXACT_UP_TO
     bound = np.inf
@@ -146,18 +146,20 @@ def _finish(trees: list[Tree], upper: float) -> tuple[Tree, float]:
 # ---- local search -------------------------------------------------------------------------------------------------------
 
 
-def _local_search(points: np.ndarray, kicks: bool) -> Tree:
-    """A short tree: from the L1 search's topology, move subtrees to near edges until nothing is gained; then kick, and again."""
+def _local_search(points: np.ndarray, effort: float) -> Tree:
+    """A short tree: from the L1 search's topology, move subtrees to near edges until nothing is gained; then kick, and again.
+
+    Without effort there is one descent and no kick.
+    """
     n, d = points.shape
     rng = np.random.default_rng(0)
     parent, kids, _ = parsimony.search(points, 20 * n, 0)
     tree = np.vstack([points, parsimony.embed(points, parent, kids)[n:] + 1e-3 * rng.standard_normal((n - 2, d))]), parent, kids
-    calls = SEARCH_WORK // (ROUGH * 2 * n * d + 10_000)
-    best, length, used = _descend(tree, calls)
-    left = calls - used
-    while kicks and left > 0:
+    best, length, used = _descend(tree)
+    left = int(effort * SEARCH_WORK) // (ROUGH * 2 * n * d + 10_000) - used
+    while left > 0:
         kicked = _random_move(_random_move(best, rng), rng)
-        tree, found, used = _descend(kicked, left)
+        tree, found, used = _descend(kicked)
         left -= used
         if found < length * (1 - 1e-9):
             best, length = tree, found
@@ -195,12 +197,12 @@ def _places_for(tree: Tree, node: int) -> np.ndarray:
     return edges[np.argsort((away**2).sum(axis=1), kind="stable")]
 
 
-def _descend(tree: Tree, calls: int) -> tuple[Tree, float, int]:
-    """Move subtrees while that shortens the tree; also its length, and how many trees were solved, at most about ``calls``."""
+def _descend(tree: Tree) -> tuple[Tree, float, int]:
+    """Move subtrees while that shortens the tree; also its length, and how many trees were solved."""
     n = len(tree[0]) // 2 + 1
     _, length = smith(*tree, 0, FINE, np.inf, 1e-6)
     node, quiet, used = 0, 0, 1
-    while quiet < 2 * n - 2 and used < calls:
+    while quiet < 2 * n - 2:
         node, quiet = (node + 1) % (2 * n - 2), quiet + 1
         if tree[1][node] <= 0:  # the root, and the node below it
             continue

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from toolkit.errors import ToolkitError
 from toolkit.evolution.geometry import distances, distinct_points, extent
 from toolkit.evolution.l1 import shortest_l1
 from toolkit.evolution.l2 import shortest_l2
@@ -21,7 +22,7 @@ MERGE = {"l1": 1e-10, "l2": 1e-6}
 
 
 def evolution_tree(
-    source: Terminal, targets: Sequence[Terminal], metric: Metric = "l1", kind: Kind = "steiner"
+    source: Terminal, targets: Sequence[Terminal], metric: Metric = "l1", kind: Kind = "steiner", effort: float = 1.0
 ) -> EvolutionTree:
     """The tree that joins the source with all targets at the least total distance (eq. evolve:tree:init).
 
@@ -34,14 +35,17 @@ def evolution_tree(
             in Euclidean d-space", 1992); beyond, local search, and a lower bound. "geometric-median" has one meta
             robot, the point of least summed distance to source and targets. "independent" has none. The last two
             are always optimal of their kind.
+        effort: how much search and proof may cost, in multiples of what suits a replan at every phase.
 
     Among equally short trees the one that shares the first stretch longest is taken, and a meta robot keeps its
     parent's value wherever several are equally good, so that less of the robot has to change.
 
     Raises:
-        ToolkitError: unknown metric or kind, unequal D, or a name used twice.
+        ToolkitError: unknown metric or kind, unequal D, a name used twice, or an effort not above 0.
     """
     check_terminals(source, targets, metric, kind)
+    if not 0 < effort < np.inf:
+        raise ToolkitError(f"The effort is {effort}; give a positive number.")
     terminals = (source, *targets)
     points = np.array([terminal.alpha for terminal in terminals])
     if kind == "independent" or len(terminals) <= 2:
@@ -50,7 +54,7 @@ def evolution_tree(
         return _median_tree(terminals, points, metric)
     distinct, twin = distinct_points(points)
     solve = shortest_l1 if metric == "l1" else shortest_l2
-    embedding, parent, bound = solve(points[distinct])
+    embedding, parent, bound = solve(points[distinct], effort)
     nodes, parents = _give_back_duplicates(points, distinct, twin, embedding, parent)
     return _finish(terminals, nodes, parents, metric, kind, bound)
 
