@@ -1,6 +1,11 @@
 """Evaluation: success on the unmodified robosuite robot, and the interval that is claimed for it."""
 
 import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,3 +87,27 @@ def test_the_robot_and_its_engine_observe_alike(native, native_fast, name):
     for _ in range(7):
         apart.append(np.abs(slow.step(action) - fast.step(action)).max())
     assert max(apart) < 1e-5, f"{name}: observations {max(apart):.1e} apart (first {apart[0]:.1e})"
+
+
+def test_workers_leave_when_their_parent_is_killed(tmp_path):
+    """kill -9 must not leave processes behind that hold a gigabyte each."""
+    program = tmp_path / "parent.py"
+    program.write_text(
+        "import os, time\n"
+        "from concurrent.futures import ProcessPoolExecutor\n"
+        "from multiprocessing import get_context\n"
+        "from toolkit.evaluation import _start_worker\n"
+        "if __name__ == '__main__':\n"
+        "    pool = ProcessPoolExecutor(1, mp_context=get_context('spawn'), initializer=_start_worker)\n"
+        "    print(pool.submit(os.getpid).result(), flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    parent = subprocess.Popen([sys.executable, str(program)], stdout=subprocess.PIPE, text=True, env=environment)
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 60
+    while Path(f"/proc/{worker}").exists() and "Z" not in Path(f"/proc/{worker}/stat").read_text().split(")")[1][:3]:
+        assert time.monotonic() < deadline, f"worker {worker} outlived its parent"
+        time.sleep(0.2)
