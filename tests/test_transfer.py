@@ -272,17 +272,40 @@ def test_every_kind_of_tree_is_followed_to_its_ends(tmp_path, kind, metric):
 
 
 def test_direct_trains_on_the_targets_alone(tmp_path):
-    """No robot between source and target is ever played; what is out of the expert's reach is not learned from nothing."""
+    """No robot between source and target is played; what is out of the expert's reach is not learned from nothing.
+
+    The expert's demonstrations on the source (DAPG) are given data: played without noise, and not counted.
+    """
     near, far = Terminal("near", np.array([0.1, 0.0, 0.0])), TARGETS[0]
     toy = Toy()
     transfer = transfer_of(tmp_path / "run", config(kind="direct", path_budget=120), toy, targets=[near, far])
     arrived = transfer.meta_evolve()
-    played = np.unique(np.concatenate([call["alphas"] for call in toy.calls]), axis=0)
+    shown = [call for call in toy.calls if (call["alphas"] == SOURCE.alpha).all()]
+    played = np.unique(np.concatenate([call["alphas"] for call in toy.calls if not any(call is one for one in shown)]), axis=0)
     np.testing.assert_array_equal(played, np.unique([near.alpha, far.alpha], axis=0))
+    assert len(shown) == 1 and not shown[0]["training"] and len(shown[0]["seeds"]) == 12
+    counted = sum(cost.sim_epochs + cost.check_episodes for cost in transfer.costs.values())
+    assert counted == toy.episodes - 12
     assert error_at(arrived["near"], near.alpha) < TOLERANCE
     spent = {transfer.routes[path][-1]: cost.sim_epochs for path, cost in transfer.costs.items()}
     assert spent["left"] == 120 and {r["path"] for r in records(transfer, "budget")} == {"path 3"}, spent
     assert transfer.costs["path 1"] == type(transfer.costs["path 1"])(), "the shared path of a star costs nothing"
+
+
+def test_direct_killed_and_resumed_is_the_same_run(tmp_path):
+    settings = config(kind="direct", path_budget=60)
+    whole = transfer_of(tmp_path / "whole", settings, Toy())
+    whole.meta_evolve()
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", settings, Toy(kill_after=6)).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", settings, Toy(), resume=True)
+    resumed.meta_evolve()
+    assert_same_end(resumed, whole)
+
+
+def test_direct_needs_an_expert_that_succeeds(tmp_path):
+    with pytest.raises(ToolkitError, match="fails 12 times of 12 on hand"):
+        transfer_of(tmp_path / "run", config(kind="direct"), Toy(succeeds=False)).meta_evolve()
 
 
 # -- the optimised path --------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ same result.
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from toolkit.errors import ToolkitError
 from toolkit.evolution import KINDS, METRICS, Kind, MetaStep, Metric, Terminal, next_meta_robot
 from toolkit.learning.episode import Episode
-from toolkit.learning.npg import NpgConfig, npg_step
+from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
 from toolkit.learning.policy import (
     GaussianPolicy,
     ValueFunction,
@@ -41,6 +41,9 @@ TRAINING_SEEDS = 10**6
 CHECKING_SEEDS = 2 * 10**6
 """The schedule measures success on seeds from here on: the same for every robot (common random numbers), none trained."""
 
+DEMONSTRATION_SEEDS = 4 * 10**6
+"""What the expert shows on the source is played on seeds from here on."""
+
 
 @dataclass(frozen=True)
 class TransferConfig:
@@ -48,7 +51,8 @@ class TransferConfig:
 
     kind: Method = "steiner"
     """Evolution tree: "steiner", "geometric-median" (one meta robot) or "independent" (one path per target: HERD, REvolveR).
-    "direct" has no evolution: the expert is trained on every target itself from the start."""
+    "direct" has no evolution: the expert is trained on every target itself from the start, pulled by what it did on the
+    source (DAPG)."""
     metric: Metric = "l1"
     """Distance between robots."""
     seed: int = 0
@@ -61,6 +65,8 @@ class TransferConfig:
     """"straight": to the meta robot (REvolveR). "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
     pull: float = 1.0
     """Weight lambda of the meta robot in the direction of an optimised path (paper)."""
+    demonstrations: int = 12
+    """Episodes of the expert on the source whose successes pull the updates of "direct"; 0: none. Not counted, as given data."""
     jacobian_episodes: int = 72
     """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
     threshold: float = 2 / 3
@@ -90,7 +96,7 @@ class TransferConfig:
         if not 0 < self.pull < math.inf:
             raise ToolkitError(f"transfer's pull is {self.pull}; give a positive number")
         for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0),
-                          ("jacobian_episodes", 2)):  # fmt: skip
+                          ("jacobian_episodes", 2), ("demonstrations", 0)):  # fmt: skip
             if getattr(self, name) < low:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
         for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("kind", METHODS), ("metric", METRICS)):
@@ -188,6 +194,8 @@ class Transfer:
     ) -> None:
         self.config, self.engine, self.native, self.run, self.report = config, engine, native, run, report
         self.goals = {target.name: target.alpha for target in targets}
+        self.source, self._expert = source, policy.copy()
+        self._shown: Demonstrations | None = None
         self.rng = np.random.default_rng(config.seed)
         self.costs: dict[str, Cost] = {"path 1": Cost()}
         self.arrived: dict[str, GaussianPolicy] = {}
@@ -366,7 +374,8 @@ class Transfer:
         before = self.spent["play_s"]
         batch = self.played(player, branch.policy.act, alphas, seeds)
         play_seconds = self.spent["play_s"] - before
-        statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, self.rng)
+        shown = self.demonstrations(cost.train_iterations) if self.config.kind == "direct" else None
+        statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, self.rng, shown)
         self.spent["learn_s"] += statistics["seconds"]
         cost.train_iterations += 1
         cost.sim_epochs += size
@@ -386,6 +395,18 @@ class Transfer:
         batch = player.play(actor, alphas, seeds)
         self.spent["play_s"] += time.perf_counter() - began
         return batch
+
+    def demonstrations(self, update: int) -> Demonstrations | None:
+        """What the expert did on the source where it succeeded; a resumed run plays the same again."""
+        if self._shown is None and self.config.demonstrations:
+            actor = lambda observation, rng: self._expert.mean(observation)  # noqa: E731
+            seeds = [DEMONSTRATION_SEEDS + i for i in range(self.config.demonstrations)]
+            good = [e for e in self.engine.play(actor, [self.source.alpha] * len(seeds), seeds) if e.success]
+            if not good:
+                raise ToolkitError(f"the expert fails {len(seeds)} times of {len(seeds)} on {self.source.name}; train it again")
+            observations = np.concatenate([episode.observations for episode in good])
+            self._shown = Demonstrations(observations, np.concatenate([episode.actions for episode in good]))
+        return None if self._shown is None else replace(self._shown, update=update)
 
     def holds(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
         """Whether the policy without noise succeeds at least at the rate ``wanted`` on the robot ``alpha`` (D,).
