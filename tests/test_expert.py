@@ -30,6 +30,7 @@ from toolkit.expert import (
 )
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
+from toolkit.runs import Run
 from toolkit.simulation.rollout import RolloutEngine
 from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS
 
@@ -153,6 +154,39 @@ def test_a_few_demonstrations_are_cloned(engine):
 def test_no_demonstration_at_all_is_said(engine):
     with pytest.raises(ToolkitError, match="none of 0 scripted demonstrations succeeds on adroit"):
         train_expert(engine, SOURCE, ExpertConfig(demonstrations=0))
+
+
+class Killed(Exception):
+    pass
+
+
+def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
+    """With recorded teachers, whose demonstrations pull the updates; killed once before cloning and once between updates."""
+    config = ExpertConfig(demonstrations=3, copies=1, rounds=1, visits=2, updates=2, cloning=CloningConfig(epochs=2),
+                          npg=NpgConfig(batch_size=2))  # fmt: skip
+    teachers = [PickScript(), PickScript(hover=0.05)]
+    whole = train_expert(engine, SOURCE, config, teachers=teachers, run=Run.create(tmp_path / "whole", {}))
+    Run.create(tmp_path / "killed", {})
+    for event in ("demonstrations", "update", None):
+
+        def kill(record, event=event):
+            if record["event"] == event:
+                raise Killed
+
+        try:
+            again = train_expert(engine, SOURCE, config, kill, teachers, Run.open(tmp_path / "killed"))
+        except Killed:
+            assert event is not None
+    np.testing.assert_array_equal(again[0].parameters, whole[0].parameters)
+    np.testing.assert_array_equal(again[1].parameters, whole[1].parameters)
+    assert again[2] == whole[2]
+    records = [Run.open(tmp_path / name).read_metrics() for name in ("whole", "killed")]
+    assert [r["event"] for r in records[0]] == ["demonstrations", *["cloning"] * 2, "visits", *["cloning"] * 2, *["update"] * 2]
+    assert [[{k: v for k, v in r.items() if k != "seconds"} for r in record] for record in records][0] == [
+        {k: v for k, v in r.items() if k != "seconds"} for r in records[1]
+    ]
+    weights = [r["demonstration_weight"] for r in records[0] if r["event"] == "update"]
+    assert weights[0] > 0, "recorded demonstrations do not pull"
 
 
 # -- files ---------------------------------------------------------------------------------------------------

@@ -442,6 +442,67 @@ def test_npg_learns_to_reach():
 # -- cloning -------------------------------------------------------------------------------------------------
 
 
+# -- demonstrations beside rewards (DAPG) ----------------------------------------------------------------------
+
+
+def make_demonstrations(policy, update=0, steps=30):
+    rng = np.random.default_rng(5)
+    observations = rng.standard_normal((steps, len(policy.observation_names)))
+    return npg.Demonstrations(observations, policy.mean(observations) + 0.5 * rng.standard_normal((steps, 3)), update)
+
+
+def log_likelihood(policy, shown, parameters):
+    twin = policy.copy()
+    twin.set_parameters(parameters)
+    return scipy.stats.norm.logpdf(shown.actions, twin.mean(shown.observations), np.exp(twin.log_std)).sum()
+
+
+def test_the_demonstrations_pull_is_the_gradient_of_their_likelihood():
+    policy = make_policy()
+    shown = make_demonstrations(policy, update=3)
+    pull, share = npg._pull(policy, shown, NpgConfig(demonstration_weight=0.2, demonstration_decay=0.9))
+    assert share == pytest.approx(0.2 * 0.9**3)
+    here, step = policy.parameters, 1e-6
+    for i in range(0, len(here), 5):
+        nudge = step * np.eye(len(here))[i]
+        slope = (log_likelihood(policy, shown, here + nudge) - log_likelihood(policy, shown, here - nudge)) / (2 * step)
+        assert pull[i] == pytest.approx(slope, rel=1e-4, abs=1e-4), f"parameter {i}"
+
+
+def test_without_reward_the_policy_follows_the_demonstrations_alone():
+    policy = make_policy()
+    before, shown = policy.parameters, make_demonstrations(policy)
+    batch = [make_episode(policy, np.random.default_rng(i), rewards=np.zeros(20)) for i in range(3)]
+    statistics = npg_step(policy, make_value(policy), batch, NpgConfig(step_size=1e-3), np.random.default_rng(0), shown)
+    assert statistics["no_signal"] and statistics["demonstration_weight"] == pytest.approx(0.1)
+    assert statistics["kl"] == pytest.approx(5e-4, rel=0.1), "a step of another length than the one asked for"
+    gain = log_likelihood(policy, shown, policy.parameters) - log_likelihood(policy, shown, before)
+    assert gain > 0, f"the demonstrations became {gain:.3f} nats likelier"
+
+
+def test_the_weight_of_demonstrations_falls_with_every_update():
+    weights = []
+    for update in (0, 10):
+        policy = make_policy()
+        batch = [make_episode(policy, np.random.default_rng(i)) for i in range(3)]
+        shown = make_demonstrations(policy, update)
+        weights.append(npg_step(policy, make_value(policy), batch, NpgConfig(), np.random.default_rng(0), shown)["demonstration_weight"])
+    assert weights[1] / weights[0] == pytest.approx(0.95**10) and weights[0] > 0.1, "the best advantage of a batch is above 1"
+
+
+def test_demonstrations_of_no_weight_change_nothing():
+    after = []
+    for shown in (None, make_demonstrations(make_policy())):
+        policy = make_policy()
+        batch = [make_episode(policy, np.random.default_rng(i)) for i in range(3)]
+        npg_step(policy, make_value(policy), batch, NpgConfig(demonstration_weight=0), np.random.default_rng(0), shown)
+        after.append(policy.parameters)
+    np.testing.assert_array_equal(*after)
+    with pytest.raises(ToolkitError, match="demonstration_decay is 1.5"):
+        NpgConfig(demonstration_decay=1.5)
+
+
+
 def test_cloning_fits_a_linear_map():
     rng = np.random.default_rng(0)
     policy = GaussianPolicy([f"o{i}" for i in range(6)], ["a", "b"], rng)

@@ -300,17 +300,17 @@ def surface(item: PickObject, point: np.ndarray) -> tuple[float, np.ndarray]:
     """
     if item.shape == "box":
         outside = np.abs(point) - np.array(item.half_size)
-        if (outside < 0).all():
+        if outside.max() <= 0:
             k = int(np.argmax(outside))
-            return float(outside[k]), np.sign(point[k]) * np.eye(3)[k]
+            return float(outside[k]), np.copysign(1.0, point[k]) * np.eye(3)[k]
         far = np.maximum(outside, 0.0) * np.sign(point)
         return float(np.linalg.norm(far)), far / np.linalg.norm(far)
     radius, half_height = item.half_size
     ring = np.hypot(point[0], point[1])
-    radial = np.array([point[0], point[1], 0.0]) / max(ring, 1e-9)
+    radial = np.array([point[0], point[1], 0.0]) / ring if ring > 1e-9 else np.array([1.0, 0.0, 0.0])
     outside = np.array([ring - radius, abs(point[2]) - half_height])
-    cap = np.array([0.0, 0.0, np.sign(point[2])])
-    if (outside < 0).all():
+    cap = np.array([0.0, 0.0, np.copysign(1.0, point[2])])
+    if outside.max() <= 0:
         return (float(outside[0]), radial) if outside[0] > outside[1] else (float(outside[1]), cap)
     far = max(outside[0], 0.0) * radial + max(outside[1], 0.0) * cap
     return float(np.linalg.norm(far)), far / np.linalg.norm(far)

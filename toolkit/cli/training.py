@@ -48,14 +48,16 @@ def expert(
     robot, what = find_robot(source), find_task(task)
     from toolkit.evaluation import evaluate_native
     from toolkit.expert import SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
-    from toolkit.recordings import teachers_for
+    from toolkit.recordings import Studio, teachers_for
     from toolkit.runs import Run
     from toolkit.simulation.rollout import RolloutEngine
 
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
-             "updates": updates, "demonstrations": demonstrations, "episodes": episodes}  # fmt: skip
+             "updates": updates, "demonstrations": demonstrations}  # fmt: skip
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
+    if demos is not None:
+        Studio(demos, robot, frame_rate)  # no run folder for recordings that are not there
     with Progress("expert", quiet=json) as progress:
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
         teachers, counts = [], {}
