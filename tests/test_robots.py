@@ -10,7 +10,9 @@ import pytest
 from robots import ROBOTS
 from tasks.pick import GOAL_OFFSET, OBJECT_XY, START_POSITION, START_ROTATION, TABLE_TOP
 from toolkit.errors import ToolkitError
+from toolkit.expert import load_expert
 from toolkit.morphology.posture import GRIP_SITE, arm_joints, solve_arm, start_of
+from toolkit.simulation.rollout import play
 
 REACH = 0.05
 """Half width [m] of the widest start noise of any task."""
@@ -79,6 +81,15 @@ def test_every_corner_of_the_workspace_is_reachable(native, name):
         assert error < 1e-8, f"{name}: {error:.1e} m or rad left at {np.round(corner, 3)}"
         slack = limit_slack(robot.model, qpos)
         assert slack > -1e-9, f"{name}: {-slack:.3f} rad beyond a joint limit at {np.round(corner, 3)}"
+
+
+@every_robot
+def test_the_sources_expert_grasps_with_it_untrained(native_fast, task, name):
+    """The start pose, the roles and the closing sense of a card make the hand's policy meaningful on every gripper."""
+    policy, _ = load_expert("adroit", task.name)
+    plant = native_fast(name)
+    outcomes = [play(plant, lambda observation, rng: policy.mean(observation), seed, np.zeros(1)).success for seed in range(3)]
+    assert sum(outcomes) >= 2, f"{name}: the expert of the hand succeeds in {sum(outcomes)} of 3 episodes on robosuite's robot"
 
 
 def test_a_base_out_of_reach_is_named_with_its_mend():

@@ -309,8 +309,6 @@ NODE_RADIUS = 0.27
 def plot_merged_tree(matching: Matching, path: str | Path) -> None:
     """Draw the merged tree: a disc per joint with one sector per robot, coloured where that robot has the joint.
 
-    The arm's joints, which every robot has, are one node.
-
     Args:
         matching: the merged tree.
         path: image file; the suffix chooses the format (.png, .svg, .pdf).
@@ -323,17 +321,13 @@ def plot_merged_tree(matching: Matching, path: str | Path) -> None:
 
     spots = _layout(matching)
     columns, rows = spots.max(axis=0)
-    figure = Figure(figsize=(1.25 * (columns + 2.4), 1.1 * (rows + 2.3)), facecolor="white", layout="constrained")
+    figure = Figure(figsize=(1.0 * (columns + 2.4), 0.95 * (rows + 2.3)), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     _draw_bones(axes, matching, spots)
     for index, slot in enumerate(matching.slots):
-        if index < matching.arm_size - 1:
-            continue
         _draw_joint(axes, spots[index], [system.present(index) for system in matching.systems])
-        arm = f"arm1 to {matching.slots[matching.arm_size - 1].name}\n({matching.arm_size} joints in a row)"
-        label = arm if index == matching.arm_size - 1 else slot.name
-        axes.annotate(label, spots[index] + [0, NODE_RADIUS + 0.07], ha="center", va="top", fontsize=9)
+        axes.annotate(slot.name, spots[index] + [0, NODE_RADIUS + 0.07], ha="center", va="top", fontsize=9)
     _draw_key(axes, matching, columns)
     axes.set(xlim=(-1.6, columns + 0.6), ylim=(rows + 0.7, -1.5), aspect="equal")
     axes.set_title(f"Merged kinematic tree of {', '.join(matching.names)}", fontsize=11)
@@ -345,9 +339,10 @@ def plot_merged_tree(matching: Matching, path: str | Path) -> None:
 
 
 def _layout(matching: Matching) -> np.ndarray:
-    """(slots, 2) column and row of each slot: a row per finger, a column per joint from the flange."""
+    """(slots, 2) column and row of each slot: the arm in the middle, a row per finger, a column per joint from the base."""
     flange = matching.arm_size - 1
     spots = np.zeros((len(matching.slots), 2))
+    spots[: flange + 1, 0] = np.arange(flange + 1)
     children: dict[int, list[int]] = {}
     for index, slot in enumerate(matching.slots[flange + 1 :], start=flange + 1):
         children.setdefault(slot.parent, []).append(index)
@@ -359,13 +354,13 @@ def _layout(matching: Matching) -> np.ndarray:
         while below:
             spots[below, 1] = row
             below = [child for index in below for child in children.get(index, [])]
-    spots[: flange + 1] = (-0.35, (len(fingers) - 1) / 2)
+    spots[: flange + 1, 1] = (len(fingers) - 1) / 2
     return spots
 
 
 def _draw_bones(axes: Axes, matching: Matching, spots: np.ndarray) -> None:
-    (x, y), flange = spots[matching.arm_size - 1], matching.arm_size - 1
-    axes.plot([x - 0.85, x], [y, y], color="#777777", linewidth=5, zorder=1, solid_capstyle="butt")
+    (x, y), flange = spots[0], matching.arm_size - 1
+    axes.plot([x - 0.85, spots[flange, 0]], [y, y], color="#777777", linewidth=5, zorder=1, solid_capstyle="butt")
     axes.annotate("world", (x - 0.9, y), ha="center", va="center", fontsize=9, rotation=90)
     for index, slot in enumerate(matching.slots):
         if index > flange:
@@ -389,9 +384,10 @@ def _draw_joint(axes: Axes, spot: np.ndarray, owned: list[bool]) -> None:
 
 def _draw_key(axes: Axes, matching: Matching, columns: float) -> None:
     """One disc per robot that shows its sector alone, with its name and number of joints."""
-    step = (columns + 1.6) / len(matching.names)
+    step = max(2.0, (columns + 1.6) / len(matching.names))
     for k, system in enumerate(matching.systems):
         spot = np.array([-0.8 + k * step, -1.05])
         _draw_joint(axes, spot, [other == k for other in range(len(matching.systems))])
-        text = f"{system.robot.name}\n{sum(system.present(i) for i in range(len(matching.slots)))} joints"
+        count = sum(joint is not None and joint.mujoco_joint >= 0 for joint in system.joints)
+        text = f"{system.robot.name}\n{count} joints"
         axes.annotate(text, spot + [NODE_RADIUS + 0.1, 0.0], ha="left", va="center", fontsize=9)
