@@ -47,6 +47,7 @@ RECORDED_SEED = 3
 """Seed of the recorded episode."""
 
 _mj_step = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
+_THREAD_CLOCK = int(time.CLOCK_THREAD_CPUTIME_ID)
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
 
 
@@ -61,7 +62,7 @@ def bare_steps(model: int, data: int, controls: np.ndarray, ctrl: np.ndarray) ->
 @cfunc(types.float64(), cache=True)
 def _microseconds() -> float:
     now = np.empty(2, np.int64)
-    _clock_gettime(1, now.ctypes.data)  # CLOCK_MONOTONIC
+    _clock_gettime(_THREAD_CLOCK, now.ctypes.data)
     return 1e6 * now[0] + 1e-3 * now[1]
 
 

@@ -495,5 +495,5 @@ class Transfer:
         self.costs = {path: Cost(**cost) for path, cost in state["costs"].items()}
         self.routes, self._records = state["routes"], state["records"]
         self.rng = generator_from_state(state["rng"])
-        self._earlier_seconds, self.spent = state["seconds"], state["spent"]
+        self._earlier_seconds, self.spent = state["seconds"], state.get("spent", self.spent)
         self.run.truncate_metrics(self._records)
