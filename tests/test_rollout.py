@@ -264,3 +264,24 @@ def test_mujocos_warnings_keep_off_the_output(unstable, space, capfd):
     engine.close()
     assert any(episode.diverged for episode in episodes)
     assert capfd.readouterr().out == "" and not Path("MUJOCO_LOG.TXT").exists()
+
+
+def test_the_command_line_replays_a_dump_of_the_unmodified_robot(task, tmp_path, capsys):
+    from robots import ROBOTS
+    from toolkit.cli.app import main
+    from toolkit.simulation.rollout import NativeEngine
+
+    def breaks_off(observation, rng):
+        breaks_off.steps += 1
+        return np.full(ACTION_SIZE, np.nan if breaks_off.steps == 3 else 0.1)
+
+    breaks_off.steps = 0
+    engine = NativeEngine(ROBOTS["kinova3"], task, threads=1, dump=tmp_path / "divergence.npz")
+    (episode,) = engine.play(breaks_off, [np.zeros(0)], [5])
+    engine.close()
+    assert episode.diverged and episode.steps == 3
+    main(["replay", str(tmp_path / "divergence.npz"), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["robots"] == ["kinova3"] and found["native"] and found["seed"] == 5 and found["step"] == 2
+    assert found["diverged"] and found["cause"] == "the policy's action 0 is nan at policy step 2"
+    assert found["substeps"][0]["time"] == pytest.approx(0.102)

@@ -466,3 +466,49 @@ def _measure_scale(merged: MergedRobot, actor: Actor, progress: Callable[[str, s
         rate = episode_rate(smaller, actor, middle, BATCHES[2], cores)
         rows.append({"environments": BATCHES[2], "threads": cores, "D": smaller.space.size, "episodes_per_s": rate})
     return {"episodes": rows, "morph_s": morph_seconds(merged, middles), "bytes_per_environment": environment_bytes(merged)}
+
+
+def _percent(shares: dict[str, float], parts: list[str]) -> list[str]:
+    return [f"{shares[part]:.0%}" for part in parts]
+
+
+def performance_page(found: dict[str, Any], command: str) -> str:
+    """The report of ``measure_engine`` as Markdown.
+
+    Args:
+        found: the report.
+        command: that measured it.
+    """
+    machine, scale = found["machine"], found["scale"]
+    lines = [
+        "# Performance", "",
+        f"Written by `{command}` on {machine['cores']} cores; load {machine['load_before']:.1f} before and "
+        f"{machine['load_after']:.1f} after, the command included. A control step is one action of the policy: 50 ms, 25 steps of "
+        "physics. One thread is timed in processor time over contact-rich stretches of a real episode, the racers in turns; bare "
+        "mj_step plays the engine's recorded controls, so all three move alike.", "",
+        "## Unmodified robots", "",
+        "| robot | control steps/s | of bare mj_step | of env.step | two threads | contacts | qpos off in 2 s | observation off "
+        "| same endings |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    lines += [
+        f"| {r['name']} | {r['control_steps_per_s']:.0f} | {r['ratio_to_bare_mj_step']:.2f} | {r['ratio_to_robosuite']:.1f} x "
+        f"| {r['ratio_of_two_threads']:.2f} x | {r['contacts']:.0f} | {r['parity_qpos']:.0e} rad | {r['observation_error']:.0e} "
+        f"| {r['outcomes']['same']} of {r['outcomes']['episodes']} |"
+        for r in found["robots"]
+    ]
+    parts = [part for part in found["merged"][0]["mj_step"] if part != "microseconds"]
+    lines += ["", "## The merged robot, and where its mj_step spends the time", "",
+              f"| F(beta) of | control steps/s | of bare mj_step | us per mj_step | rows | {' | '.join(parts)} |",
+              "|---|---|---|---|---|" + "---|" * len(parts)]  # fmt: skip
+    lines += [
+        f"| {r['name']} | {r['control_steps_per_s']:.0f} | {r['ratio_to_bare_mj_step']:.2f} | {r['mj_step']['microseconds']:.0f} "
+        f"| {r['rows']:.0f} | {' | '.join(_percent(r['mj_step'], parts))} |"
+        for r in found["merged"]
+    ]
+    if scale:
+        lines += ["", "## Episodes", "", "| environments | threads | D | episodes/s |", "|---|---|---|---|"]
+        lines += [f"| {row['environments']} | {row['threads']} | {row['D']} | {row['episodes_per_s']:.1f} |" for row in scale["episodes"]]
+        lines += ["", f"F(alpha) is included; it takes {1e3 * scale['morph_s']:.1f} ms per episode. An environment takes "
+                  f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, and there is one per thread, whatever the batch."]  # fmt: skip
+    return "\n".join(lines) + "\n"

@@ -110,6 +110,7 @@ def bench_engine(
     episodes: int = 20,
     rounds: int = 8,
     scale: bool = True,
+    page: Path | None = None,
     json: bool = False,
 ) -> None:
     """Measure the rollout engine against robosuite's own env.step and against bare mj_step, in turns on the same states.
@@ -124,6 +125,7 @@ def bench_engine(
         episodes: that the engine and env.step both play, noise included, to compare how they end; 0: none.
         rounds: turns of each racer.
         scale: also measure episodes per second against batch, threads and dimensions.
+        page: also write the figures as Markdown into this file.
         json: print one JSON object.
     """
     from robots import ROBOTS
@@ -132,12 +134,15 @@ def bench_engine(
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
     systems = [find_robot(name) for name in (robots or ROBOTS)]
     from toolkit.expert import load_expert
-    from toolkit.speed import measure_engine
+    from toolkit.speed import measure_engine, performance_page
 
     policy, _ = load_expert(source, task)
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
     with Progress("engine", quiet=json) as progress:
         found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
+    if page is not None:
+        named = f" --robots {' '.join(robots)}" if robots else ""
+        page.write_text(performance_page(found, f"meta-evolve bench engine{named} --episodes {episodes} --page {page.name}"))
     if json:
         emit(found, True, "")
         return
