@@ -114,7 +114,7 @@ def test_the_report_keeps_its_contract(task, expert):
     assert keys <= row.keys() and row["name"] == "kinova3"
     assert row["parity_qpos"] < 1e-6 and row["observation_error"] < 1e-9
     assert row["ratio_to_robosuite"] > 2, f"only {row['ratio_to_robosuite']:.1f} times robosuite's env.step"
-    assert 0.5 < row["ratio_to_bare_mj_step"] < 1.2, f"{row['ratio_to_bare_mj_step']:.2f} of bare mj_step"
+    assert 0.4 < row["ratio_to_bare_mj_step"] < 1.5, f"{row['ratio_to_bare_mj_step']:.2f} of bare mj_step"
     assert [entry["name"] for entry in found["merged"]] == [SOURCE.name, "kinova3"]
     page = performance_page(found, "meta-evolve bench engine")
     assert f"| kinova3 | {row['control_steps_per_s']:.0f} | {row['ratio_to_bare_mj_step']:.2f} |" in page
