@@ -247,7 +247,7 @@ def test_a_shipped_expert_explains_itself(card):
     assert (given["--source"], given["--task"]) == (source, task) and int(given["--seed"]) >= 0
     assert int(given["--demonstrations"]) == content["demonstrations"] >= content["demonstrations_kept"] > 0
     result = content["evaluation"]
-    assert (result["target"], result["env"]) == (source, "native") and result["episodes"] >= 100
+    assert result["target"] == source and result["env"] in ("native", "native-compiled") and result["episodes"] >= 100
     assert result["success_rate"] == result["successes"] / result["episodes"] >= 0.8, result
 
 

@@ -25,7 +25,7 @@ from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
 from toolkit.quiet import silence_robosuite
 from toolkit.simulation.plant import CLOSING, command_law, finger_map
-from toolkit.simulation.rollout import RolloutEngine
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 
 EVALUATION_SEEDS = 10**9
 """First seed of evaluations; training and the schedule's own checks stay far below."""
@@ -36,13 +36,14 @@ class Evaluation:
     """Success of a policy on one robot.
 
     Attributes:
-        target: robot.  env: "native" (robosuite's own robot and step) or "merged" (F(beta)).
+        target: robot.  env: "native" (robosuite's own robot and step), "native-compiled" (its own robot, the compiled control
+            step) or "merged" (F(beta)).
         successes, episodes, diverged: counts.
         seed: of the first episode; the others follow.
     """
 
     target: str
-    env: Literal["native", "merged"]
+    env: Literal["native", "native-compiled", "merged"]
     episodes: int
     successes: int
     diverged: int
@@ -113,6 +114,16 @@ def walk(
             played = engine.play(lambda observation, rng: policy.mean(observation), [alpha] * episodes, seeds)
             yield Waypoint(start.name, end.name, float(share), episodes, sum(e.success for e in played),
                            sum(e.diverged for e in played))  # fmt: skip
+
+
+def evaluate_compiled(policy: GaussianPolicy, robot: Robot, task: PickTask, episodes: int, seed: int = 0) -> Evaluation:
+    """As ``evaluate_native``, on the same seeds, with the compiled control step in place of robosuite's: some ten times faster."""
+    seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
+    engine = NativeEngine(robot, task)
+    played = engine.play(lambda observation, rng: policy.mean(observation), [np.zeros(1)] * episodes, seeds)
+    engine.close()
+    successes, diverged = (sum(getattr(e, key) for e in played) for key in ("success", "diverged"))
+    return Evaluation(robot.name, "native-compiled", episodes, successes, diverged, seeds[0])
 
 
 class NativeRobot:
