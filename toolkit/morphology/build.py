@@ -38,6 +38,8 @@ MIN_MASS = 1e-9
 """Mass [kg] of an absent link: MuJoCo refuses less; its joint's armature is what keeps the mass matrix regular."""
 MIN_INERTIA = 1e-13
 """Principal inertia [kg m^2] of an absent link."""
+AIR_MASS = 1e-8
+"""Mass [kg] of a body that is there for the air's drag alone, which depends on moment over mass."""
 MIN_SIZE = 1e-5
 """Size [m] of an absent geom; absent geoms do not collide either."""
 HAND_EXTENT = 0.25
@@ -71,6 +73,8 @@ class Patch:
     com: np.ndarray
     inertia: np.ndarray
     inertia_quat: np.ndarray
+    air_pos: np.ndarray
+    air_inertia: np.ndarray
     limits: np.ndarray
     margin: np.ndarray
     spring: np.ndarray
@@ -134,6 +138,7 @@ class MergedRobot:
         two = np.array([s.kind in slim for s in space.shape_slots])
         self._shape_dims = np.where(two[:, None], (1.0, 1.0, 0.0), 1.0)
         self._shape_reference = np.array([quaternion(s.reference) for s in space.shape_slots])
+        self._airy = np.flatnonzero(space.fields["air_edge"].values.max(axis=(0, 2)) > 0)
         self._hold = self._holds()
         self._tip_of, self._ends = self._tips()
         self._bone_radius = np.where(np.arange(len(slots)) < self._arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"])
@@ -185,6 +190,8 @@ class MergedRobot:
             com=theta["com"] - anchors,
             inertia=moments,
             inertia_quat=frames,
+            air_pos=(theta["air_position"] - anchors)[self._airy],
+            air_inertia=np.maximum(AIR_MASS / 6.0 * theta["air_edge"][self._airy] ** 2, MIN_INERTIA) * np.ones(3),
             limits=theta["limits"],
             margin=theta["limit_margin"][:, 0],
             spring=spring,
@@ -281,6 +288,11 @@ class MergedRobot:
                 quat=p.bone_quat[i], contype=0, conaffinity=0, group=1, rgba=rgba, density=0,
             )  # fmt: skip
             bodies.append(body)
+        for k, i in enumerate(self._airy):
+            bodies[i].add_body(
+                name=f"{self.space.matching.slots[i].name}/air", pos=p.air_pos[k], mass=AIR_MASS, ipos=[0, 0, 0],
+                inertia=p.air_inertia[k], explicitinertial=True,
+            )  # fmt: skip
         flange = bodies[self._arm - 1]
         quat = quaternion(START_ROTATION)
         flange.add_site(name="grasp", pos=p.grasp_pos, quat=quat)
@@ -393,6 +405,7 @@ class MergedRobot:
     def _address(self, model: mujoco.MjModel) -> None:
         slots = self.space.matching.slots
         self._body = _span([model.body(s.name).id for s in slots])
+        self._air = np.array([model.body(f"{slots[i].name}/air").id for i in self._airy], int)
         joint = [model.joint(s.name).id for s in slots]
         dof = model.jnt_dofadr[joint]
         self._joint, self._dof, self._qpos = _span(joint), _span(dof), _span(model.jnt_qposadr[joint])
@@ -436,6 +449,7 @@ class MergedRobot:
         model.body_pos[self._body], model.body_mass[self._body] = p.body_pos, p.mass
         model.body_ipos[self._body], model.body_iquat[self._body] = p.com, p.inertia_quat
         model.body_inertia[self._body] = p.inertia
+        model.body_pos[self._air], model.body_inertia[self._air] = p.air_pos, p.air_inertia
         model.jnt_axis[self._joint], model.jnt_range[self._joint] = p.axis, p.limits
         model.jnt_margin[self._joint], model.jnt_stiffness[self._joint] = p.margin, p.spring
         model.jnt_stiffnesspoly[self._joint, 0], model.qpos_spring[self._qpos] = p.spring_quadratic, p.spring_rest

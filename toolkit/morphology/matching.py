@@ -37,6 +37,8 @@ UNLIMITED_ANGLE = 4 * np.pi
 """Range [rad] given to a joint without limits: two turns either way, never reached in an episode."""
 UNLIMITED_LENGTH = 10.0
 """Range given to a coupling without limits: joint angles times coefficients stay well below."""
+LARGE_TO_AIR = 1.5
+"""A body is dragged on by itself if its box is so many times as large as its link's."""
 BASE_SITE = "robot0_right_center"
 
 
@@ -73,6 +75,8 @@ class Joint:
         stiffness: position gain of its actuator [N m/rad], 0 without one.
         force_limit: largest actuator torque [N m].
         target_open, target_closed: merged position targets [rad] at closing command -1 and +1.
+        air_edge: [m] of the cube that the air drags on besides the link itself, 0 for none; see ``_air``.
+        air_position: its centre (3,) [m], world, or None.
         locked: True if the link is there but its joint is held still (inner knuckles of an equivalent linkage).
     """
 
@@ -92,6 +96,8 @@ class Joint:
     force_limit: float = 0.0
     target_open: float = 0.0
     target_closed: float = 0.0
+    air_edge: float = 0.0
+    air_position: np.ndarray | None = None
     locked: bool = False
 
 
@@ -362,6 +368,26 @@ def _carriers(model: mujoco.MjModel, slot_of: dict[int, int], welded: dict[int, 
     return carrier
 
 
+def _inertia_box(mass: float, moments: np.ndarray) -> np.ndarray:
+    """Edges (3,) [m] of the box of uniform density with a body's mass and principal moments: what MuJoCo's air drags on."""
+    return np.sqrt(np.maximum(moments.sum() - 2.0 * moments, 0.0) * 6.0 / mass)
+
+
+def _air(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int], joints: list[Joint | None]) -> None:
+    """Keep the air's drag on bodies whose box is larger than that of the link they are lumped into; edits ``joints``.
+
+    robosuite gives some helper bodies a moment of 1 kg m^2 per kg: to the air they are cubes of 2.4 m, to the link nothing.
+    """
+    for body in range(1, model.nbody):
+        joint = joints[carrier[body]]
+        if model.body_weldid[body] == 0 or joint is None or model.body_mass[body] <= 0.0:
+            continue
+        edge = float(_inertia_box(model.body_mass[body], model.body_inertia[body]).mean())
+        lump = _inertia_box(joint.screw.mass, np.linalg.eigvalsh(joint.screw.inertia)).max()
+        if edge > max(LARGE_TO_AIR * lump, joint.air_edge):
+            joints[carrier[body]] = replace(joint, air_edge=edge, air_position=np.array(data.xipos[body]))
+
+
 @dataclass(frozen=True)
 class Reading:
     """A robot's scene at its start posture, as far as it can be read without the other robots.
@@ -547,7 +573,9 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
         targets = (target_at(robot, role, -1.0), target_at(robot, role, 1.0))
         joints[index[role]] = _drive(model, actuator, joints[index[role]], targets)
     welded = {body: index[role] for role, body in reading.welded.items()}
-    shapes, meshes = _shapes(model, data, _carriers(model, slot_of, welded, arm_size - 1))
+    carrier = _carriers(model, slot_of, welded, arm_size - 1)
+    shapes, meshes = _shapes(model, data, carrier)
+    _air(model, data, carrier, joints)
     site = model.site(BASE_SITE)
     if not np.allclose(data.site_xmat[site.id], np.eye(3).ravel(), atol=1e-4):
         raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")

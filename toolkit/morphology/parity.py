@@ -33,6 +33,8 @@ WIDTH = 0.05
 """Width [m] of the box for the pad force, between the pads."""
 SQUEEZE, AVERAGED = 1.5, 0.1
 """Time [s] from the full closing command to the pad force, and the last part of it over which the force is averaged."""
+NEARLY, PARTS, WAITING = 0.9, 5, 10
+"""Share of the way that counts as closed; samples per policy step; policy steps that a lagging finger is given at the end."""
 PAD_FINGERS = ("FF", "TH", "RF")
 """Fingers whose pads are compared, where the robot has them."""
 START_SEED = 0
@@ -177,6 +179,7 @@ def parity(merged: MergedRobot, robot: Robot) -> dict[str, str | float]:
         grippers settled for 1 s at the same closing command in free air with the arm held still, from open until the
         robot's own thumb touches a finger;
         pad_force_rel_error: see ``squeeze``; the difference relative to the robot's own force;
+        closing_time_difference_steps: see ``closing_steps``; the difference in policy steps;
         grasp_frame_drift_m: largest distance of the grasp frames during 1 s of the same random OSC commands in free
         space, gripper open.
 
@@ -198,6 +201,7 @@ def parity(merged: MergedRobot, robot: Robot) -> dict[str, str | float]:
         "pad_position_error_m": position,
         "pad_angle_error_deg": angle,
         "pad_force_rel_error": abs(force - own_force) / max(own_force, 1e-9),
+        "closing_time_difference_steps": abs(np.subtract(*closing_steps(mine, own))),
         "grasp_frame_drift_m": drift(mine, own),
     }
 
@@ -268,6 +272,36 @@ def squeeze(side: Side, width: float = WIDTH) -> float:
         mujoco.mj_step(model, data)
         samples.append(_force_on(model, data, side.item))
     return float(np.mean(samples))
+
+
+def closing_steps(mine: Side, own: Side) -> tuple[float, float]:
+    """Policy steps that either gripper takes, told to close at once, for nine tenths of the own one's way in free air.
+
+    The way is that of index and thumb pad towards each other, until the own jaws meet or the closing command is spent.
+    """
+    law = own.plant.law
+    theirs = _gaps(own, int(np.ceil((1.0 - law.preshape) / law.rate)) + WAITING)
+    ours = _gaps(mine, len(theirs) // PARTS + WAITING)
+    nearly = theirs[0] - NEARLY * (theirs[0] - theirs.min())
+    return tuple(float(np.argmax(gaps <= nearly)) / PARTS if gaps.min() <= nearly else np.inf for gaps in (ours, theirs))
+
+
+def _gaps(side: Side, steps: int) -> np.ndarray:
+    """Distance [m] of index and thumb pad, PARTS times per policy step, while closing until the jaws meet."""
+    model, data = side.clamped()
+    law, out = side.plant.law, []
+    command = np.full(len(COMMANDED_ROLES), law.preshape)
+    part = int(round(1.0 / side.plant.task.control_frequency / model.opt.timestep / PARTS))
+    for _ in range(steps):
+        command = law.advance(command, np.ones(len(COMMANDED_ROLES)))
+        data.ctrl[side.fingers] = law.targets(command)
+        for _ in range(PARTS):
+            mujoco.mj_step(model, data, part)
+            pads = [data.geom_xpos[side.pads[finger]] for finger in ("FF", "TH")]
+            out.append(float(np.linalg.norm(np.subtract(*pads))))
+            if jaws_meet(model, data, side.jaws):
+                return np.array(out)
+    return np.array(out)
 
 
 def _force_on(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:

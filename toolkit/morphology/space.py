@@ -295,6 +295,8 @@ class EvolutionSpace:
             slot_field("mass", "kg", ("",), lambda j, i: j.screw.mass, absent=[0.0]),
             slot_field("com", "m", xyz, lambda j, i: j.screw.com),
             slot_field("gyration", "m", root, lambda j, i: gyration(j.screw.mass, j.screw.inertia)),
+            slot_field("air_edge", "m", ("",), lambda j, i: j.air_edge, absent=[0.0]),
+            slot_field("air_position", "m", xyz, lambda j, i: j.air_position),
             slot_field("freeze", "1", ("",), lambda j, i: float(j.locked), absent=[1.0]),
             slot_field("limits", "rad", ("low", "high"), lambda j, i: j.limits),
             slot_field("damping", "N m s/rad", ("",), lambda j, i: j.damping),
