@@ -262,3 +262,45 @@ def bench_tree(
           ["metric", "robots", "ms", "ms of CPU", "length", "lower bound", "gap", "proven", "above the longer search"],
           [[t.metric.upper(), t.terminals, f"{1e3 * t.seconds:.1f}", f"{1e3 * t.cpu_seconds:.1f}", f"{t.length:.3f}",
             f"{t.lower_bound:.3f}", f"{t.gap:.1%}", "yes" if t.optimal else "no", excess(t)] for t in found])  # fmt: skip
+
+
+@bench.command(name="metric")
+def bench_metric(
+    source: str = "adroit",
+    targets: tuple[str, ...] = TARGETS,
+    task: str = TASK,
+    robots: int = 40,
+    episodes: int = 3,
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Weigh each evolution parameter by how much it changes a rollout, and ask whether that foretells failure better than plain L1.
+
+    Args:
+        source: the robot that the expert was trained on.
+        targets: where the policy should go.
+        task: what the expert does.
+        robots: random robots between source and targets on which the untrained expert is judged.
+        episodes: per robot.
+        seed: of the robots.
+        json: print one JSON object.
+    """
+    if robots < 3 or episodes < 1 or seed < 0:
+        raise ToolkitError(f"robots is {robots}, episodes {episodes}, seed {seed}; give at least 3, 1 and 0")
+    lab = make_lab(source, targets, task)
+    from toolkit.expert import load_expert
+    from toolkit.sensitivity import compare_metrics
+    from toolkit.simulation.rollout import RolloutEngine
+
+    policy, _ = load_expert(source, task)
+    with Progress("metric", quiet=json) as progress:
+        measured = lambda done, total: progress.show("weights", f"{done} of {total} parameters", done, total)  # noqa: E731
+        found = compare_metrics(RolloutEngine(lab.merged), policy, *lab.terminals(), robots, episodes, seed, measured)
+    if json:
+        emit(asdict(found), True, "")
+        return
+    table("What foretells the untrained expert's failure", ["metric", "rank correlation", "tree", "independent paths", "ratio"],
+          [[m.name, f"{m.correlation:.2f}", f"{m.length:.1f}", f"{m.independent_length:.1f}", f"{m.ratio:.2f}"]
+           for m in found.metrics])  # fmt: skip
+    print(f"Mean success of the untrained expert on {robots} robots: {found.success:.0%}; "
+          f"weights from {min(found.weights):.2g} to {max(found.weights):.2g} of their mean.")  # fmt: skip

@@ -1,0 +1,59 @@
+"""The weighted metric: distances as they should be, judgements on numbers known beforehand, and one short rollout on the real robots."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from toolkit import sensitivity
+from toolkit.evolution import Terminal, evolution_tree
+from toolkit.expert import new_learner
+from toolkit.sensitivity import Judgement, compare_metrics, sensitivities, weighted
+
+
+def test_weighted_terminals_are_apart_by_the_weighted_distance():
+    rng = np.random.default_rng(0)
+    weights, points = rng.random(7), rng.random((3, 7))
+    scaled = weighted([Terminal(f"r{i}", p) for i, p in enumerate(points)], weights)
+    expected = (np.abs(points[0] - points[1]) * weights).sum() / weights.mean()
+    assert np.abs(scaled[0].alpha - scaled[1].alpha).sum() == pytest.approx(expected)
+    assert evolution_tree(scaled[0], scaled[1:]).optimal
+
+
+def test_a_metric_that_knows_what_matters_foretells_failure():
+    """Success depends on the first of 20 dimensions alone: weighing that one foretells it, counting all alike does not."""
+    rng = np.random.default_rng(1)
+    alphas = rng.random((200, 20))
+    judged = Judgement(alphas, 1 - alphas[:, 0])
+    knows = np.r_[1.0, np.zeros(19)]
+    assert judged.rank_correlation(np.zeros(20), knows) == pytest.approx(1)
+    assert abs(judged.rank_correlation(np.zeros(20), np.ones(20))) < 0.5
+    assert judged.rank_correlation(np.zeros(20), 1 - knows) < 0.3
+
+
+def test_real_parameters_change_a_real_rollout(merged, space):
+    """The first dimensions, measured twice: the same figures, finite, and not all of them zero."""
+    policy, _ = new_learner(0)
+    first = list(islice(sensitivities(merged, policy, space.betas[0]), 3))
+    assert first == list(islice(sensitivities(merged, policy, space.betas[0]), 3))
+    assert np.isfinite(first).all() and min(first) >= 0 and max(first) > 0
+
+
+def test_metrics_are_compared_on_the_same_robots(monkeypatch):
+    """Rollouts are replaced by a toy in which only the first dimension matters; the weighted metric must come out ahead."""
+
+    class Engine:
+        merged = None
+
+        def play(self, actor, alphas, seeds):
+            return [type("Played", (), {"success": alpha[0] < 0.2 + 0.1 * (seed % 7)})() for alpha, seed in zip(alphas, seeds, strict=True)]
+
+    monkeypatch.setattr(sensitivity, "sensitivities", lambda merged, policy, alpha: iter(np.r_[5.0, np.full(11, 0.01)]))
+    source = Terminal("hand", np.zeros(12))
+    targets = [Terminal(f"t{i}", np.random.default_rng(i).uniform(0.5, 1, 12)) for i in range(3)]
+    found = compare_metrics(Engine(), None, source, targets, 60, 7, 0)
+    plain, heavy, root = found.metrics
+    assert heavy.correlation > plain.correlation and heavy.correlation > 0.6
+    assert np.mean(found.weights) == pytest.approx(1) and 0 < found.success < 1
+    assert plain.ratio == pytest.approx(evolution_tree(source, targets).ratio)
+    assert all(m.length <= m.independent_length for m in (plain, heavy, root))
