@@ -17,8 +17,8 @@ from toolkit.cli.names import TARGETS, TASK
 from toolkit.runs import Run
 
 COMMANDS = (
-    "robots", "match", "tree", "expert", "transfer", "evaluate", "view", "export", "verify", "deploy", "twin", "doctor", "recordings",
-    "bench",
+    "robots", "match", "tree", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "deploy", "twin",
+    "doctor", "recordings", "bench",
 )  # fmt: skip
 POINTS = {
     "source": {"name": "hand", "alpha": [0.0, 0.0, 0.0]},
@@ -200,6 +200,17 @@ def test_an_unknown_target_of_a_run_is_named(capsys, trained, arguments):
 
 def test_viewing_what_has_no_recording(capsys, trained):
     assert f"no recording at {trained}" in refusal(capsys, "view", trained)
+    assert "make it with --rebuild" in refusal(capsys, "view", trained)
+
+
+def test_viewing_needs_one_run_or_two_to_compare(capsys, trained):
+    assert "takes one run folder" in refusal(capsys, "view", trained, trained)
+    assert "compare two targets" in refusal(capsys, "view", trained, "--compare", "kinova3")
+
+
+@pytest.mark.parametrize("command", [["view", "nowhere", "--rebuild"], ["report", "nowhere"], ["view", "nowhere", "--live"]])
+def test_looking_at_what_is_no_run(capsys, command):
+    assert "nowhere does not exist" in refusal(capsys, *command)
 
 
 @pytest.mark.parametrize("arguments", [["evaluate"], ["export", "--target", "kinova3", "--out", "bundle"]])

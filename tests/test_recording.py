@@ -1,212 +1,353 @@
-"""What is read back from a recording is what MuJoCo says."""
+"""What is read back from a recording is what the run did and what MuJoCo says."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
 
-from toolkit import recording
 from toolkit.errors import ToolkitError
-from toolkit.recording import Recording, curves_of, show, tree_layout
+from toolkit.expert import load_expert
+from toolkit.phases import Witness
+from toolkit.plan import Plan, matrix
+from toolkit.recording import shows, viewer
+from toolkit.recording.scene import Casting, Scene
+from toolkit.recording.story import SHARE, Story
+from toolkit.recording.stream import Stream
+from toolkit.runs import Run
+from toolkit.simulation.plant import merged_plant, native_plant
+from toolkit.simulation.rollout import play
 
-Geom = mujoco.mjtGeom
-NODES = [{"name": name, "kind": kind, "alpha": [0.0]} for name, kind in [("s", "source"), ("m", "meta"), ("t", "target"), ("u", "target")]]
-EDGES = [{"from": "s", "to": "m", "length": 1.0}, {"from": "m", "to": "t", "length": 0.5}, {"from": "m", "to": "u", "length": 0.25}]
-
-
-def hand(length: float = 0.1, tip: float = 0.02) -> mujoco.MjModel:
-    """A floating palm with a finger of one capsule, a mesh and every other kind of primitive."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(name="floor", type=Geom.mjGEOM_PLANE, size=[0, 0, 0.1])
-    wedge = spec.add_mesh(name="wedge")
-    wedge.uservert = 0.03 * np.array([0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1.0])
-    palm = spec.worldbody.add_body(name="palm", pos=[0, 0, 0.5])
-    palm.add_freejoint()
-    palm.add_geom(name="box", type=Geom.mjGEOM_BOX, size=[0.05, 0.04, 0.02], group=1)
-    palm.add_geom(name="hidden", type=Geom.mjGEOM_BOX, size=[0.05, 0.04, 0.02], group=0)
-    palm.add_geom(name="wedge", type=Geom.mjGEOM_MESH, meshname="wedge", group=1)
-    finger = palm.add_body(name="finger", pos=[0.05, 0, 0], quat=[0.9, 0.1, 0.3, 0.2])
-    finger.add_joint(name="bend", axis=[0, 1, 0])
-    finger.add_geom(name="bone", type=Geom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, length], size=[0.01, 0, 0])
-    finger.add_geom(name="tip", type=Geom.mjGEOM_SPHERE, size=[tip, 0, 0], mass=0.01)
-    finger.add_geom(name="nail", type=Geom.mjGEOM_ELLIPSOID, size=[0.01, 0.02, 0.005])
-    finger.add_geom(name="ring", type=Geom.mjGEOM_CYLINDER, size=[0.012, 0.003, 0])
-    return spec.compile()
+ROOT = Path(__file__).parents[1]
 
 
-def swing(model: mujoco.MjModel, frames: int = 20) -> np.ndarray:
-    """(frames, nq) random poses."""
-    generator = np.random.default_rng(1)
-    qpos = generator.normal(size=(frames, model.nq))
-    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
-    return qpos
+@pytest.fixture(scope="module")
+def small(task):
+    """ADROIT and Jaco, merged."""
+    from robots import ROBOTS
+    from toolkit.pipeline import Lab
+
+    return Lab(ROBOTS["adroit"], [ROBOTS["jaco"]], task)
 
 
-def columns(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """Entity path -> its rows, each a dictionary of what is not empty."""
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for chunk in recording._reader(path).stream():
+@pytest.fixture(scope="module")
+def policy():
+    return load_expert("adroit", "061_foam_brick")[0]
+
+
+@pytest.fixture(scope="module")
+def run(small, policy, tmp_path_factory):
+    """A run folder as a transfer leaves it: two real episodes on the way, one on the native robot."""
+    from robots import ROBOTS
+
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    made = Run.create(folder, {"source": "adroit", "targets": ["jaco"], "task": small.task.name})
+    made.write_json("tree", small.tree("l1", "steiner").to_json())
+    start, end = small.space.betas
+    half = start + 0.5 * (end - start)
+    cost = {"train_iterations": 0, "sim_epochs": 0, "check_episodes": 2, "diverged": 0}
+    witness = Witness(folder)
+    mean = lambda observation, rng: policy.mean(observation)  # noqa: E731
+    plants = {"evolve": lambda alpha: merged_plant(small.merged, alpha, *small.merged.new()),
+              "settle": lambda alpha: native_plant(ROBOTS["jaco"], small.task)}  # fmt: skip
+    for second, (event, stage, before, after, seeds) in enumerate(
+        [("moved", "evolve", start, half, (11, 12)), ("moved", "evolve", half, end, (11,)), ("arrived", "settle", end, end, (11,))]
+    ):
+        played = [play(plants[stage](after), mean, seed, after) for seed in seeds]
+        witness.saw("path 1", stage, ["jaco"], before, policy, played, False, 0)
+        success = float(np.mean([episode.success for episode in played]))
+        record = {"path": "path 1", "stage": stage, **cost, "seconds": 10.0 * second}
+        made.append_metrics({"event": "check", "success": success, "checked": len(played), **record})
+        made.append_metrics({"event": event, "target": "jaco", "distance": 0.0, **record})
+        witness.ends("path 1", stage, ["jaco"], before, after)
+    policy.save(folder / "jaco.policy.safetensors")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def known(run, small, policy):
+    from robots import ROBOTS
+
+    native = lambda name: native_plant(ROBOTS[name], small.task)  # noqa: E731
+    return shows.Known(run, small.merged, policy, native, {"jaco": policy})
+
+
+@pytest.fixture(scope="module")
+def rebuilt(known):
+    """(file, cost) of the run's recording."""
+    cost = shows.rebuild(known)
+    return known.folder / "recording.rrd", cost
+
+
+def entities(path):
+    """Entity -> its rows, each a dictionary of what is not empty; the layout's left out."""
+    rows = {}
+    for chunk in viewer.reader_of(path).stream():
         for row in chunk.to_record_batch().to_pylist():
             rows.setdefault(chunk.entity_path, []).append({key: value for key, value in row.items() if value is not None})
     return rows
 
 
-def test_poses_equal_mujocos(tmp_path: Path) -> None:
-    model = hand()
-    qpos = swing(model)
-    with Recording(tmp_path / "a.rrd") as made:
-        end = made.log_episode("robot", model, qpos, control_dt=0.05, start_time=2.0, phase=7)
-    assert end == pytest.approx(3.0)
-    rows = columns(made.path)
-    data = mujoco.MjData(model)
-    for body in ("palm", "finger"):
-        poses = rows[f"/robot/{body}"]
-        assert len(poses) == len(qpos) and {row["iteration"] for row in poses} == {7}
-        for frame, row in enumerate(poses):
-            data.qpos[:] = qpos[frame]
-            mujoco.mj_forward(model, data)
-            assert row["time"].total_seconds() == pytest.approx(2.0 + 0.05 * frame, abs=1e-6)
-            np.testing.assert_allclose(row["Transform3D:translation"][0], data.body(body).xpos, atol=1e-5)
-            np.testing.assert_allclose(np.roll(row["Transform3D:quaternion"][0], 1), data.body(body).xquat, atol=1e-5)
+@pytest.fixture(scope="module")
+def rows(rebuilt):
+    return entities(rebuilt[0])
 
 
-def test_shapes_equal_mujocos(tmp_path: Path) -> None:
-    model = hand()
-    with Recording(tmp_path / "a.rrd") as made:
-        made.log_episode("robot", model, swing(model), 0.05, 0.0, 0)
-    rows = columns(made.path)
-    geoms = {path for path in rows if path.startswith("/robot/") and path.count("/") == 3}
-    assert geoms == {f"/robot/{name}" for name in "world/floor palm/box palm/wedge finger/bone finger/tip finger/nail finger/ring".split()}
-    bone = rows["/robot/finger/bone"][0]
-    ends = np.array([bone["Capsules3D:translations"][0]] * 2)
-    mujoco.mju_rotVecQuat(axis := np.zeros(3), np.array([0, 0, 1.0]), np.roll(bone["Capsules3D:quaternions"][0], 1))
-    ends[1] += bone["Capsules3D:lengths"][0] * axis
-    np.testing.assert_allclose(ends[np.argsort(ends[:, 0])], [[0, 0, 0], [0.1, 0, 0.1]], atol=1e-6)
-    assert np.allclose(rows["/robot/palm/box"][0]["Boxes3D:half_sizes"], [[0.05, 0.04, 0.02]])
-    vertices = np.concatenate([row["Mesh3D:vertex_positions"] for row in rows["/robot/palm/wedge"] if "Mesh3D:vertex_positions" in row])
-    assert {tuple(np.round(vertex, 6)) for vertex in vertices} == {tuple(np.round(vertex.astype(float), 6)) for vertex in model.mesh_vert}
+def seconds(row):
+    return row["film"].total_seconds()
 
 
-def test_only_changes_are_logged_and_a_mesh_once(tmp_path: Path) -> None:
-    with Recording(tmp_path / "a.rrd") as made:
-        for phase, (length, tip) in enumerate([(0.1, 0.02), (0.1, 0.02), (0.2, 1e-4), (0.2, 0.02)]):
-            model = hand(length, tip)
-            made.log_episode("robot", model, swing(model), 0.05, float(phase), phase)
-    rows = columns(made.path)
-    assert sum("Mesh3D:vertex_positions" in row for row in rows["/robot/palm/wedge"]) == 1
-    assert len(rows["/robot/palm/box"]) == 1
-    assert [row["iteration"] for row in rows["/robot/finger/bone"]] == [0, 2]
-    tips = [(row["iteration"], "Clear:is_recursive" in row) for row in rows["/robot/finger/tip"]]
-    assert tips == [(0, False), (2, True), (3, False)], "a part that has shrunk away is cleared, and may grow again"
-    assert len(rows["/robot/palm"]) == 80
+def test_every_page_is_there_and_small(rebuilt, rows):
+    file, cost = rebuilt
+    pages = {path.split("/")[1] for path in rows}
+    assert {"scene", "evolution", "learning", "signals", "summary"} <= pages
+    assert cost.drawn == cost.known == 4 and cost.size == file.stat().st_size < 20e6
+    assert "4 of 4 episodes" in str(cost) and "MB" in str(cost)
+    chunks = sum(1 for _ in viewer.reader_of(file).stream())
+    assert chunks < 200, f"{chunks} chunks: viewers open a recording at once while it has few"
 
 
-def test_collision_geoms_instead(tmp_path: Path) -> None:
-    with Recording(tmp_path / "a.rrd", collision=True) as made:
-        made.log_episode("robot", hand(), swing(hand(), 1), 0.05, 0.0, 0)
-    assert "/robot/palm/hidden" in columns(made.path) and "/robot/palm/box" not in columns(made.path)
+def test_no_mesh_twice(rows, small):
+    meshes = {path: [row["Mesh3D:vertex_positions"] for row in own if "Mesh3D:vertex_positions" in row] for path, own in rows.items()}
+    meshes = {path: own for path, own in meshes.items() if own}
+    assert len(meshes) > 20 and all(len(own) == 1 for own in meshes.values()), "each mesh is logged once"
+    shapes = [np.array(own[0]).tobytes() for own in meshes.values()]
+    assert len(set(shapes)) == len(shapes), "no two entities hold the same mesh"
 
 
-def test_morph_has_a_frame_per_model(tmp_path: Path) -> None:
-    lengths = np.linspace(0.1, 0.3, 11)
-    with Recording(tmp_path / "a.rrd") as made:
-        made.log_morph("morph", [(f"{length:.2f}", hand(length), swing(hand(), 1)[0]) for length in lengths])
-    rows = columns(made.path)
-    assert [row["morph"] for row in rows["/morph/finger/bone"]] == list(range(11))
-    drawn = [row["Capsules3D:lengths"][0] for row in rows["/morph/finger/bone"]]
-    np.testing.assert_allclose(drawn, lengths * np.sqrt(2), rtol=1e-6)
-    assert len(rows["/morph/palm"]) == 1 and len(rows["/morph/label"]) == 11
+def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, known):
+    """The last film is on the unmodified Jaco: instances of its meshes against mj_kinematics, to 1e-5."""
+    from toolkit.film import shoot
+
+    film = shoot(known.native("jaco"), lambda observation, rng: policy.mean(observation), 11, small.space.betas[1])
+    model, data = film.model, mujoco.MjData(film.model)
+    body = model.body("robot0_j2s7s300_link_4").id
+    (entity,) = [path for path in rows if path.endswith("/j2s7s300_link_4")]
+    poses = sorted((row for row in rows[entity] if "InstancePoses3D:translations" in row), key=seconds)[-len(film.qpos) :]
+    assert len(poses) == len(film.qpos)
+    for row, qpos in list(zip(poses, film.qpos, strict=True))[::5]:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(row["InstancePoses3D:translations"], [data.xpos[body]], atol=1e-5)
+        seen = Rotation.from_quat(row["InstancePoses3D:quaternions"][0])
+        true = Rotation.from_quat(data.xquat[body], scalar_first=True)
+        assert (seen * true.inv()).magnitude() < 1e-5
+    steps = np.diff([seconds(row) for row in poses])
+    np.testing.assert_allclose(steps, film.interval, atol=2e-6)
 
 
-def test_tree_and_progress(tmp_path: Path) -> None:
-    with Recording(tmp_path / "a.rrd") as made:
-        made.log_tree(NODES, EDGES)
-        for step in range(5):
-            made.log_progress(step, "s to m", {"success_rate": step / 4, "distance": 1.0})
-        made.log_progress(5, "m to t", {"success_rate": 0.0})
-        made.log_episode("robot", hand(), swing(hand()), 0.05, 0.0, 5)
-        made.log_summary("# Done")
-    rows = columns(made.path)
-    (tree,) = rows["/tree"]
-    assert len(tree["GraphNodes:node_ids"]) == len(NODES) + len(EDGES) and len(tree["GraphEdges:edges"]) == 2 * len(EDGES)
-    assert {"s (source)", "m", "t (target)", "1.00", "0.50", "0.25"} <= set(tree["GraphNodes:labels"])
-    curve = rows["/metrics/s\\ to\\ m/success_rate"]
-    assert [row["Scalars:scalars"] for row in curve if "iteration" in row] == [[0.0], [0.25], [0.5], [0.75], [1.0]]
-    on_time = [row["time"].total_seconds() for row in curve if "time" in row]
-    assert len(on_time) == 5 and on_time == sorted(on_time) and on_time[-1] < 1.0
-    assert curves_of(made.path) == [("m to t", "success_rate"), ("s to m", "distance"), ("s to m", "success_rate")]
+def test_the_merged_robots_bones_stand_where_mujoco_says(tmp_path, small):
+    from toolkit.morphology.appearance import Wardrobe
+
+    wardrobe = Wardrobe(small.space.matching)
+    alphas = small.space.betas[0] + np.linspace(0, 1, 4)[:, None] * (small.space.betas[1] - small.space.betas[0])
+    stream = Stream(tmp_path / "a.rrd")
+    Scene(stream, small.merged, wardrobe).show(np.arange(4.0), 0, [Casting(small.merged, wardrobe).standing(alphas)])
+    stream.close()
+    bones = sorted((row for row in entities(tmp_path / "a.rrd")["/scene/robot/bones"] if "film" in row), key=seconds)
+    model, data = small.merged.new()
+    geoms = [model.geom(f"{slot.name}/bone").id for slot in small.space.matching.slots]
+    for row, alpha in zip(bones, alphas, strict=True):
+        small.merged.become(alpha, model, data)
+        mujoco.mj_kinematics(model, data)
+        length = np.array(row["Capsules3D:lengths"])
+        axes = Rotation.from_quat(row["Capsules3D:quaternions"]).apply([0, 0, 1.0])
+        middles = np.array(row["Capsules3D:translations"]) + 0.5 * length[:, None] * axes
+        np.testing.assert_allclose(middles, data.geom_xpos[geoms], atol=1e-5)
+        np.testing.assert_allclose(length, 2 * model.geom_size[geoms, 1], atol=1e-5)
 
 
-def test_tree_layout_runs_left_to_right_without_overlap() -> None:
-    places = tree_layout("smtu", [(edge["from"], edge["to"]) for edge in EDGES])
-    assert all(places[edge["from"]][0] < places[edge["to"]][0] for edge in EDGES)
-    assert len(set(places.values())) == 4
-    assert set(tree_layout("ab", [("a", "b"), ("b", "a")])) == {"a", "b"}, "a cycle ends too"
+def test_one_robot_fades_into_the_other(rows):
+    """On its way the source's hand loses opacity and the target's gains it, between 0 and 255."""
+    opacity = lambda row: row["Mesh3D:albedo_factor"][0] & 0xFF  # noqa: E731
+    (gripper,) = [path for path in rows if path.endswith("/j2s7s300_link_7")]
+    (hand,) = [path for path in rows if path.endswith("/thmiddle")]
+    rising = [opacity(row) for row in sorted((r for r in rows[gripper] if "film" in r), key=seconds) if row["InstancePoses3D:translations"]]
+    falling = [opacity(row) for row in sorted((r for r in rows[hand] if "film" in r), key=seconds) if row["InstancePoses3D:translations"]]
+    assert rising[-1] == 255 and min(rising) < 30
+    assert falling[0] == 255 and min(falling) < 30
 
 
-def test_bad_episodes_are_refused(tmp_path: Path) -> None:
-    model = hand()
-    qpos = swing(model)
-    with Recording(tmp_path / "a.rrd") as made:
-        with pytest.raises(ToolkitError, match=r"needs \(frames, 8\)"):
-            made.log_episode("robot", model, qpos[:, 1:], 0.05, 0.0, 0)
-        with pytest.raises(ToolkitError, match="no finite frame"):
-            made.log_episode("robot", model, np.full_like(qpos, np.nan), 0.05, 0.0, 0)
-        qpos[12:] = np.inf
-        assert made.log_episode("robot", model, qpos, 0.05, 5.0, 3) == pytest.approx(5.6)
-        with pytest.raises(ToolkitError, match="log episodes in order"):
-            made.log_episode("robot", model, qpos, 0.05, 4.0, 3)
+def test_tree_projection_and_alpha(rows, small):
+    tree = small.tree("l1", "steiner").to_json()
+    labels = {label for row in rows["/evolution/tree/names"] for label in row["Points2D:labels"]}
+    assert {"adroit (source)", "jaco (target)"} == labels
+    assert rows["/evolution/tree/lengths"][0]["Points2D:labels"] == [f"{tree['edges'][0]['length']:.1f}"]
+    cells = [row for row in rows["/evolution/alpha/cells"] if "film" in row]
+    assert len(cells[0]["Points2D:positions"]) == small.space.size == len(cells[0]["Points2D:colors"])
+    done = [row for row in rows["/evolution/tree/done"] if "film" in row]
+    assert len(done) == 3 and len(done[-1]["LineStrips2D:strips"]) == 3, "one stretch per phase"
+    here = sorted((row for row in rows["/evolution/tree/here"] if "film" in row), key=seconds)
+    across = [row["Points2D:positions"][0][0] for row in here]
+    assert across[0] == 0 and max(across) == pytest.approx(1000), "from the source to the target"
+
+
+def test_curves_have_a_point_per_record_on_both_timelines(rows, run):
+    records = Run.open(run).read_metrics()
+    success = [row for row in rows["/learning/success"] if "iteration" in row]
+    assert [row["Scalars:scalars"][0] for row in success] == [r["success"] for r in records if r["event"] == "check"]
+    totals = [row for row in rows["/learning/sim_epochs"] if "iteration" in row]
+    assert [row["iteration"] for row in totals] == list(range(1, len(records) + 1))
+    assert len([row for row in rows["/learning/sim_epochs"] if "film" in row and "iteration" not in row]) == len(records)
+    assert rows["/learning/success"][0].get("SeriesLines:names", ["path 1"]) == ["path 1"]
+
+
+def test_captions_say_which_episode_it_is_and_how_it_ended(rows):
+    texts = [row["TextDocument:text"][0] for row in rows["/signals/caption"]]
+    assert sum("seed 11" in text for text in texts) == 3 and any("unmodified jaco" in text for text in texts)
+    assert all("**Success" in text or "**Failure" in text for text in texts if "seed" in text)
+
+
+def test_contacts_and_signals_of_a_film(rows):
+    forces = [row for row in rows["/scene/contacts"] if row.get("Arrows3D:vectors")]
+    assert len(forces) > 20
+    for key, width in (("position", 6), ("action", 7), ("distance", 2), ("grip", 1), ("reward", 2)):
+        lines = [row for row in rows[f"/signals/{key}"] if "Scalars:scalars" in row]
+        assert {len(row["Scalars:scalars"]) for row in lines} == {width}
+    assert max(row["Scalars:scalars"][0] for row in rows["/signals/grip"] if "Scalars:scalars" in row) > 0.3
+
+
+def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
+    """With no time at all, curves and ways are told and no episode is played; a rebuild plays them."""
+    story = Story(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, share=1e-9)
+    for record in Run.open(known.folder).read_metrics():
+        story.tell(record)
+    cost = story.finish()
+    assert cost.drawn == 0 and cost.known == 4 and "--rebuild" in str(cost) and 0 < SHARE <= 0.03
+    assert "/learning/success" in entities(tmp_path / "a.rrd")
+
+
+def test_a_run_without_phases_shows_its_last_policies(tmp_path, known):
+    """An older version's run: config, tree, metrics and final policies."""
+    old = tmp_path / "old"
+    old.mkdir()
+    for name in ("config.json", "tree.json", "metrics.jsonl"):
+        (old / name).write_bytes((known.folder / name).read_bytes())
+    cost = shows.rebuild(shows.Known(old, known.merged, known.policy, known.native, known.trained))
+    assert cost.drawn == 2
+    assert any("at 100% of adroit to jaco" in row["TextDocument:text"][0] for row in entities(old / "recording.rrd")["/signals/caption"])
+
+
+def test_a_run_without_any_path_done_is_shown(tmp_path, known):
+    young = tmp_path / "young"
+    young.mkdir()
+    for name in ("config.json", "tree.json"):
+        (young / name).write_bytes((known.folder / name).read_bytes())
+    cost = shows.rebuild(shows.Known(young, known.merged, known.policy, known.native, {}))
+    assert cost.known == 0
+    told = entities(young / "recording.rrd")
+    assert "0 records; targets reached: none yet" in told["/summary"][-1]["TextDocument:text"][0]
+
+
+def test_a_run_of_another_space_is_refused_in_one_sentence(tmp_path, known):
+    other = tmp_path / "other"
+    other.mkdir()
+    tree = json.loads((known.folder / "tree.json").read_bytes())
+    tree["nodes"] = [node | {"alpha": node["alpha"][:-1]} for node in tree["nodes"]]
+    (other / "tree.json").write_text(json.dumps(tree))
+    with pytest.raises(ToolkitError, match="another version"):
+        shows.rebuild(shows.Known(other, known.merged, known.policy, known.native, {}))
+    (other / "tree.json").write_text("{")
+    with pytest.raises(ToolkitError, match="tree.json is damaged"):
+        shows.rebuild(shows.Known(other, known.merged, known.policy, known.native, {}))
+    (other / "tree.json").unlink()
+    with pytest.raises(ToolkitError, match="has no tree.json yet"):
+        shows.rebuild(shows.Known(other, known.merged, known.policy, known.native, {}))
+
+
+def test_a_morph_follows_the_tree(tmp_path, small):
+    shows.morph(small.merged, "adroit", ["jaco"], tmp_path / "m.rrd", small.tree("l1", "steiner").to_json(), frames=6)
+    told = entities(tmp_path / "m.rrd")
+    frames = [row for row in told["/scene/robot/bones"] if "film" in row]
+    assert len(frames) == 6 and "/signals/action" not in told
+    across = [row["Points2D:positions"][0][0] for row in told["/evolution/tree/here"] if "film" in row]
+    assert across == sorted(across) and across[-1] == pytest.approx(1000)
+
+
+def test_two_runs_stand_side_by_side(tmp_path, known):
+    films = shows.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
+    np.testing.assert_array_equal(films[0].qpos, films[1].qpos)
+    told = entities(tmp_path / "c.rrd")
+    (entity,) = [path for path in told if path.endswith("/j2s7s300_link_7")]
+    places = np.array(next(row for row in told[entity] if "film" in row)["InstancePoses3D:translations"])
+    np.testing.assert_allclose(places[1] - places[0], [0, shows.APART, 0], atol=1e-5)
+    assert sum("Mesh3D:vertex_positions" in row for row in told[entity]) == 1, "two robots, one mesh"
+    assert {"/side 1/distance", "/side 2/distance"} <= {path.replace("\\", "") for path in told}
+    with pytest.raises(ToolkitError, match="has no policy for 'iiwa' yet"):
+        shows.compare([("one", known, "jaco"), ("two", known, "iiwa")], tmp_path / "d.rrd", seed=11)
+
+
+def test_the_tree_is_laid_out_to_scale():
+    nodes = [{"name": name, "kind": kind, "alpha": alpha} for name, kind, alpha in
+             [("s", "source", [0, 0, 0]), ("m", "meta", [1, 0, 0]), ("t", "target", [1, 1, 0]), ("u", "target", [1, 0, 3])]]  # fmt: skip
+    edges = [{"from": "s", "to": "m", "length": 1.0}, {"from": "m", "to": "t", "length": 1.0}, {"from": "m", "to": "u", "length": 3.0}]
+    plan = Plan({"nodes": nodes, "edges": edges})
+    assert plan.places["s"][0] == 0 and plan.places["m"][0] == pytest.approx(250) and plan.places["u"][0] == pytest.approx(1000)
+    assert plan.edge_of(["t", "u"]) is edges[0] and plan.edge_of(["u"]) is edges[2] and plan.edge_of(["s"]) is None
+    assert plan.fraction(edges[2], np.array([1, 0, 1.5])) == pytest.approx(0.5)
+    assert plan.share.sum() == pytest.approx(1.0), "four points in space: three components tell all"
+    flat = plan.project(np.array([node["alpha"] for node in nodes], float))
+    apart = np.linalg.norm(flat[3] - flat[1]) / np.linalg.norm(flat[1] - flat[0])
+    assert apart == pytest.approx(3.0), "a projection that keeps everything keeps distances"
+
+
+def test_a_matrix_has_a_place_for_every_dimension(small):
+    places, rows, columns = matrix(small.space)
+    assert len({tuple(place) for place in places}) == small.space.size, "no two dimensions share a cell"
+    assert places[:, 1].max() + 1 == len(rows) and "anchor" in columns and "arm1" in rows
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
-def test_a_killed_run_is_readable_and_continues_in_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_runs_recording_is_readable(tmp_path):
     file = tmp_path / "recording.rrd"
     program = (
-        "import os, sys; from toolkit.recording import Recording\n"
-        "made = Recording(sys.argv[1])\n"
-        "for step in range(9): made.log_progress(step, 'a/b', {'success_rate': 0.5})\n"
+        "import os, sys; from pathlib import Path; import rerun as rr; from toolkit.recording.stream import Stream\n"
+        "stream = Stream(Path(sys.argv[1]))\n"
+        "for step in range(9): stream.row('a', float(step), step, rr.Scalars(0.5)); stream.flush()\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    root = Path(__file__).parents[1]
-    killed = subprocess.run([sys.executable, "-c", program, str(file)], cwd=root, env=os.environ | {"PYTHONPATH": str(root)})
+    killed = subprocess.run([sys.executable, "-c", program, str(file)], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)})
     assert killed.returncode == -signal.SIGKILL
-    (curve,) = [rows for path, rows in columns(file).items() if path.startswith("/metrics")]
-    assert sum("iteration" in row for row in curve) == 9
+    assert len(entities(file)["/a"]) == 9
     file.write_bytes(file.read_bytes()[:-5])  # as if killed within a write
-    with Recording(file) as resumed:
-        resumed.log_progress(8, "a/b", {"success_rate": 0.5})
-    assert resumed.path.name == "recording-1.rrd" and curves_of(file) == [("a/b", "success_rate")] == curves_of(resumed.path)
-    identities = {RrdReader(part).recordings()[0].recording_id for part in (file, resumed.path)}
-    assert len(identities) == 1, "the viewer joins the parts"
-    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(display, raising=False)
-    if sys.platform == "linux":
-        assert f"rerun --serve-web {file} {resumed.path}" in show(tmp_path)
+    try:
+        assert viewer.recording_of(file) == file
+    except ToolkitError as error:
+        assert "--rebuild" in str(error)
 
 
-def test_show_refuses_what_it_cannot_open(tmp_path: Path) -> None:
-    with Recording(tmp_path / "a.rrd") as made:
-        made.log_episode("robot", hand(), swing(hand()), 0.05, 0.0, 0)
-    data = made.path.read_bytes()
-    for length, complaint in [(0, "not a Rerun recording"), (10, "cut off"), (len(data) // 2, "cut off")]:
-        made.path.write_bytes(data[:length])
+def test_what_is_no_recording_gets_one_sentence(tmp_path, rebuilt):
+    data = rebuilt[0].read_bytes()
+    file = tmp_path / "a.rrd"
+    for length, complaint in [(0, "not a Rerun recording"), (10, "cut off")]:
+        file.write_bytes(data[:length])
         with pytest.raises(ToolkitError, match=complaint):
-            show(made.path)
-    made.path.write_bytes(b"PNG" + data)
+            viewer.recording_of(file)
+    file.write_bytes(b"PNG" + data)
     with pytest.raises(ToolkitError, match="not a Rerun recording"):
-        show(made.path)
+        viewer.recording_of(file)
     with pytest.raises(ToolkitError, match="no recording at"):
-        show(tmp_path)
+        viewer.recording_of(tmp_path)
 
 
-def test_training_code_needs_no_rerun() -> None:
-    program = "import sys, toolkit.runs; sys.exit('rerun' in sys.modules)"
-    root = Path(__file__).parents[1]
-    assert subprocess.run([sys.executable, "-c", program], cwd=root, env=os.environ | {"PYTHONPATH": str(root)}).returncode == 0
+def test_without_a_display_the_viewer_is_served(rebuilt):
+    import urllib.request
+
+    process, address, proxy = viewer.serve(rebuilt[0])
+    try:
+        page = urllib.request.urlopen(address.split("?")[0], timeout=20).read().decode()
+        assert "<html" in page.lower() and proxy.endswith("/proxy")
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def test_training_code_needs_no_rerun():
+    program = "import sys, toolkit.phases, toolkit.runs; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0

@@ -28,7 +28,7 @@ META = np.array([0.8, 0.2, 0.2])
 WEIGHTS = np.array([1.0, 1.0, -0.7])
 TOLERANCE = 0.15
 OBSERVATION = np.ones(1)
-TIMING = {"episodes_per_s", "play_s", "learn_s"}
+TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
 NPG = NpgConfig(step_size=0.1, min_log_std=-1.6, cg_iterations=4, value_epochs=2)
 
 

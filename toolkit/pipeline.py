@@ -1,11 +1,10 @@
 """A transfer from names to report: robots, space, tree, expert, training, evaluation, recording, in one run folder."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from robots.robot import Robot
 from tasks.pick import PickTask
@@ -13,13 +12,17 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.expert import load_expert
+from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
-from toolkit.recording import Recording
+from toolkit.phases import Witness
+from toolkit.recording.story import SHARE, Story
+from toolkit.recording.stream import Stream
 from toolkit.runs import Run
+from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer import Branch, Method, Transfer, TransferConfig
 
@@ -135,19 +138,24 @@ class Pipeline:
         dump = folder / "divergence.npz"
         self.engine = RolloutEngine(self.lab.merged, dump=dump)
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
-        self.recording = Recording(folder / "recording.rrd")
-        self._clock, self._iteration = 0.0, 0
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
-        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen)
+        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw)
         if resume:
             self.transfer.restore()
         self.run.write_json("tree", self.tree.to_json())
+        records = self.run.read_metrics()
+        moved = Counter(record["path"] for record in records if record["event"] == "moved")
+        self.witness = Witness(folder, moved)
+        self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
+        stream = Stream(folder / "recording.rrd")
+        self.story = Story(stream, folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, SHARE)
+        for record in records:
+            self.story.tell(record)
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
         try:
-            self._open_recording()
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():
                 policy.save(self.run.path / f"{name}.policy.safetensors")
@@ -155,52 +163,30 @@ class Pipeline:
             report = self._report(evaluations)
             self.run.write_json("report", report)
             self.run.write_summary(summary(report, self.tree))
-            self.recording.log_summary(summary(report, self.tree))
+            self.story.summary(summary(report, self.tree))
             return report
         finally:
-            self.recording.close()
+            self.watch({"event": "recorded", "cost": self.story.finish()})
             self.engine.close()
 
     # ---- what is seen on the way -------------------------------------------------------------------------------
 
-    def _open_recording(self) -> None:
-        content = self.tree.to_json()
-        self.recording.log_tree(content["nodes"], content["edges"])
-        self._film(self.lab.space.betas[0], self.transfer.pending[-1].policy if self.transfer.pending else None)
-        for target in self.job.targets:
-            self._morph(target.name)
-
-    def _morph(self, name: str, frames: int = 25) -> None:
-        """The source turning into a target along a straight line, for the "morph" timeline."""
-        start, end = self.lab.space.betas[0], self.lab.space.beta(name)
-        models = []
-        for share in np.linspace(0.0, 1.0, frames):
-            model, data = self.lab.merged.new()
-            self.lab.merged.become(start + share * (end - start), model, data)
-            models.append((f"{self.job.source.name} to {name}: {100 * share:.0f} %", model, np.array(data.qpos)))
-        self.recording.log_morph(f"morph/{name}", models)
-
-    def _film(self, alpha: np.ndarray, policy: GaussianPolicy | None) -> None:
-        """One episode of the policy's mean action on F(alpha), on the "time" timeline."""
-        if policy is None:
-            return
-        trace = self.engine.trace(lambda observation, rng: policy.mean(observation), alpha, seed=1)
-        interval = 1.0 / self.job.task.control_frequency
-        self._clock = self.recording.log_episode("robot", trace.model, trace.qpos, interval, self._clock, self._iteration)
+    def _saw(self, branch: Branch, episodes: list[Episode], noise: bool) -> None:
+        """Remember the episodes worth seeing."""
+        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, branch.policy, episodes, noise, branch.updates)
 
     def _seen(self, record: dict[str, Any], branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
         self.watch(record)
-        self._iteration += 1
-        numbers = {"episodes": record["sim_epochs"]}
-        success = {"check": "success", "update": "train_success"}.get(record["event"])
-        if success:
-            numbers["success_rate" if success == "success" else "train_success"] = record[success]
-        if "distance" in record:
-            numbers["distance"] = record["distance"]
-        self.recording.log_progress(self._iteration, f"{record['path']} {record['stage']}", numbers)
         if record["event"] in ("moved", "arrived"):
-            self._film(branch.alpha, branch.policy)
+            start = self._stood.get(branch.path, branch.alpha)
+            self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha)
+        self._stood[branch.path] = branch.alpha
+        self.story.tell(record)
+
+    def _plant(self, name: str) -> Plant:
+        """An unmodified target robot for the recording's films."""
+        return native_plant(next(robot for robot in self.job.targets if robot.name == name), self.job.task)
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 

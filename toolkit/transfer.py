@@ -175,6 +175,8 @@ class Transfer:
         native: target name -> makes the player of the unmodified robot (made when a path gets there).
         run: folder for metrics and checkpoints.
         report: called with one flat record per event, for progress and pictures.
+        witness: called with every batch that is played, before anything is learned from it: branch, episodes, and whether
+            the policy explored.
 
     Attributes:
         spent: wall time [s] of the transfer, and its parts that went into playing episodes and into learning.
@@ -191,8 +193,10 @@ class Transfer:
         native: Mapping[str, Callable[[], Player]],
         run: Run,
         report: Callable[[dict[str, Any], Branch], None] = lambda record, branch: None,
+        witness: Callable[[Branch, list[Episode], bool], None] = lambda branch, episodes, noise: None,
     ) -> None:
         self.config, self.engine, self.native, self.run, self.report = config, engine, native, run, report
+        self.witness = witness
         self.goals = {target.name: target.alpha for target in targets}
         self.source, self._expert = source, policy.copy()
         self._shown: Demonstrations | None = None
@@ -374,6 +378,7 @@ class Transfer:
         before = self.spent["play_s"]
         batch = self.played(player, branch.policy.act, alphas, seeds)
         play_seconds = self.spent["play_s"] - before
+        self.witness(branch, batch, True)
         shown = self.demonstrations(cost.train_iterations) if self.config.kind == "direct" else None
         statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, self.rng, shown)
         self.spent["learn_s"] += statistics["seconds"]
@@ -384,6 +389,7 @@ class Transfer:
         branch.updates += 1
         self.say(
             "update", branch, train_success=float(np.mean([e.success for e in batch])), window=branch.window,
+            mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
             kl=statistics["kl"], episodes_per_s=size / play_seconds, play_s=play_seconds,
             learn_s=statistics["seconds"],
         )  # fmt: skip
@@ -422,6 +428,7 @@ class Transfer:
             played += size
             successes += sum(episode.success for episode in batch)
             self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+            self.witness(branch, batch, False)
         self.costs[branch.path].check_episodes += played
         reach = float(np.linalg.norm(alpha - branch.alpha))
         self.say("check", branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
@@ -432,10 +439,10 @@ class Transfer:
     def say(self, event: str, branch: Branch, **values: Any) -> None:
         """One line of metrics.jsonl, passed on to whoever watches."""
         cost = self.costs[branch.path]
-        record = {"event": event, "path": branch.path, "stage": branch.stage, **values, **asdict(cost)}
+        record = {"event": event, "path": branch.path, "stage": branch.stage, **values, **asdict(cost), "seconds": self.seconds}
         self._records += 1
         self.run.append_metrics(record)
-        self.report(record | {"seconds": self.seconds}, branch)
+        self.report(record, branch)
 
     @property
     def seconds(self) -> float:

@@ -7,7 +7,7 @@ import tyro
 
 from toolkit.cli.benchmarks import bench
 from toolkit.cli.deployment import deploy, export, twin
-from toolkit.cli.inspection import doctor, replay, view
+from toolkit.cli.inspection import doctor, morph, replay, report, view
 from toolkit.cli.judging import evaluate, verify
 from toolkit.cli.recordings import recordings
 from toolkit.cli.systems import match, robots
@@ -17,7 +17,7 @@ from toolkit.errors import ToolkitError
 from toolkit.quiet import silence_robosuite
 
 app = tyro.extras.SubcommandApp()
-for command in (robots, match, tree, expert, transfer, evaluate, view, replay, export, verify, deploy, twin, doctor):
+for command in (robots, match, tree, expert, transfer, evaluate, view, report, morph, replay, export, verify, deploy, twin, doctor):
     app.command(command)
 app.command(recordings, name="recordings", help="Recordings of hands: make a stand-in, list, retarget to the source's hand.")
 app.command(bench, name="bench", help="Measure the toolkit itself.")

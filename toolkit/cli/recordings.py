@@ -168,7 +168,7 @@ def _row(demonstration: "Demonstration") -> list[str]:
 
 def _film(studio: "Studio", shown: Sequence["Demonstration"], path: Path) -> None:
     """Write recordings, retargeted hands and replays side by side."""
-    from toolkit.recording_hands import Clip, record_clips
+    from toolkit.recording.hands import Clip, record_clips
 
     clips = []
     for d in shown:

@@ -89,6 +89,10 @@ class Progress:
         state = {"distance": float("nan"), "success": float("nan"), "rate": float("nan")}
 
         def seen(record: dict[str, Any]) -> None:
+            if record["event"] == "recorded":
+                if not self.quiet:
+                    self.console.print(str(record["cost"]), highlight=False)
+                return
             if record["event"] == "evaluating":
                 detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
                 self.show(f"evaluating {record['target']}", detail, now=True)

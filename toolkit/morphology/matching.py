@@ -171,6 +171,7 @@ class System:
         torque_limits: one per arm slot (n,) [N m], 0 where the robot has no joint.
         base_follows: 1 if the OSC base frame turns with joint 1 (KUKA's site sits on link 1), else 0.
         base_position: origin of the OSC base frame at the start [m].
+        model: the unmodified robosuite scene.  start: its configuration (nq,) at the start posture.
     """
 
     robot: Robot
@@ -181,6 +182,8 @@ class System:
     torque_limits: np.ndarray
     base_follows: float
     base_position: np.ndarray
+    model: mujoco.MjModel
+    start: np.ndarray
 
     def present(self, slot: int) -> bool:
         """Whether the robot has the slot's joint."""
@@ -581,6 +584,7 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
         raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")
     follows = float(slot_of.get(int(model.body_jntadr[model.site_bodyid[site.id]]), -1) == 0)
     couplings, curves = _couplings(model, slot_of, joints), ()
+    start = np.array(data.qpos)
     if robot.gripper.four_bar:
         signs = {role: joints[index[role]].sign for role in robot.gripper.joints}
         linkages = equivalent_linkages(model, data, robot, signs, np.array(data.site(GRIP_SITE).xpos))
@@ -588,7 +592,7 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
     limits = np.zeros(arm_size)
     limits[list(arm)] = [model.actuator_ctrlrange[a, 1] for a in range(len(arm))]
     origin = np.array(data.site_xpos[site.id])
-    return System(robot, tuple(joints), shapes, couplings, curves, limits, follows, origin), meshes
+    return System(robot, tuple(joints), shapes, couplings, curves, limits, follows, origin, model, start), meshes
 
 
 def _welded(screw: Screw) -> Joint:

@@ -225,6 +225,17 @@ class Plant:
             _sine_of_rotation(self._object_rotation), self.goal, START_POSITION,
         )  # fmt: skip
 
+    def aim(self, action: np.ndarray) -> np.ndarray:
+        """Position (3,) [m], world, to which OSC would pull the grasp frame during a step with this action (n_act,)."""
+        joint, follows, axis = self._drive[0][0, 0], self._drive[7], self._drive[8]
+        base = osc.base_rotation(follows, self._qpos[joint] - self.start[joint], axis)
+        return self.grasp_position + base @ (osc.POSITION_SCALE * np.clip(action[:3], -1.0, 1.0))
+
+    @property
+    def grasp_position(self) -> np.ndarray:
+        """(3,) [m], world."""
+        return np.array(self._grasp_position)
+
     @property
     def object_position(self) -> np.ndarray:
         """(3,) [m], world; a view."""

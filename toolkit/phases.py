@@ -1,0 +1,244 @@
+"""What each phase of a transfer leaves in the run folder, so that it can be watched later: `phases/<path>-<number>-<stage>`.
+
+A phase is the way from one robot to the next: where it began and ended, and the episodes worth seeing. An episode is kept
+as what determines it (policy, robot, seed, noise), a few kilobytes; playing it again gives the same episode, bit by bit.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save as safetensors_bytes
+
+from tasks.pick import OBSERVATION
+from toolkit.errors import ToolkitError
+from toolkit.learning.episode import Episode
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.runs import write_atomically
+
+ROLES = ("first", "last", "best", "worst", "failure")
+"""Why an episode is kept. "best" and "worst" by `score`, "failure" is the first one that did not succeed."""
+FOLDER = "phases"
+
+
+@dataclass
+class Take:
+    """An episode worth seeing.
+
+    Attributes:
+        seed: of the start and of the noise.  noise: whether the policy explored (training) or not (checking).
+        success, diverged: how it ended.  steps: policy steps.  score: see `score`.
+        update: of the phase, before which it was played.
+        policy: index into the phase's policies.  alpha: (D,) the robot.
+        roles: why it is kept.
+    """
+
+    seed: int
+    noise: bool
+    success: bool
+    diverged: bool
+    steps: int
+    score: float
+    update: int
+    policy: int
+    alpha: np.ndarray
+    roles: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Phase:
+    """One phase of one path.
+
+    Attributes:
+        path: "path 1", ...  number: from 0 on each path.  stage: "evolve" or "settle".
+        targets: that the path leads to.
+        start: (D,) where it began.  end: (D,) where it ended, None while it goes on.
+        policies: networks of the takes: "parameters", "shift", "scale".
+        takes: the episodes worth seeing, in the order in which they were played.
+    """
+
+    path: str
+    number: int
+    stage: str
+    targets: list[str]
+    start: np.ndarray
+    end: np.ndarray | None = None
+    policies: list[dict[str, np.ndarray]] = field(default_factory=list)
+    takes: list[Take] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """File name without suffix."""
+        return f"{self.path.replace(' ', '-')}-{self.number:03d}-{self.stage}"
+
+    def take(self, role: str) -> Take | None:
+        """The episode kept for a role."""
+        return next((take for take in self.takes if role in take.roles), None)
+
+    def save(self, run: Path) -> None:
+        """Write the phase into a run folder, whole or not at all."""
+        tensors = {"start": self.start} | ({} if self.end is None else {"end": self.end})
+        for index, policy in enumerate(self.policies):
+            tensors |= {f"policy.{index}.{key}": value for key, value in policy.items()}
+        for index, take in enumerate(self.takes):
+            tensors[f"take.{index}.alpha"] = take.alpha
+        state = {key: getattr(self, key) for key in ("path", "number", "stage", "targets")}
+        state["takes"] = [{k: v for k, v in asdict(take).items() if k != "alpha"} for take in self.takes]
+        folder = run / FOLDER
+        try:
+            folder.mkdir(exist_ok=True)
+            arrays = {key: np.array(value, order="C") for key, value in tensors.items()}
+            write_atomically(folder / f"{self.name}.safetensors", safetensors_bytes(arrays, metadata={"state": json.dumps(state)}))
+        except OSError as error:
+            raise ToolkitError(f"{folder} cannot be written ({error.strerror}); free space or permissions there") from None
+
+    def play_as(self, take: Take, model: GaussianPolicy) -> GaussianPolicy:
+        """The policy that played a take; ``model`` has the same networks and is left as it is.
+
+        Raises:
+            ToolkitError: its networks are of another size.
+        """
+        policy = model.copy()
+        stored = self.policies[take.policy]
+        policy.set_parameters(stored["parameters"])
+        policy.set_normalisation(stored["shift"], stored["scale"])
+        return policy
+
+
+def load_phase(file: Path) -> Phase:
+    """A phase from its file.
+
+    Raises:
+        ToolkitError: the file is truncated, or not ours.
+    """
+    try:
+        with safe_open(file, framework="np") as opened:
+            state = json.loads((opened.metadata() or {})["state"])
+            tensors = {key: opened.get_tensor(key) for key in opened.keys()}
+        takes = [Take(**take, alpha=tensors[f"take.{index}.alpha"]) for index, take in enumerate(state.pop("takes"))]
+        count = 1 + max((take.policy for take in takes), default=-1)
+        keys = ("parameters", "shift", "scale")
+        policies = [{key: tensors[f"policy.{index}.{key}"] for key in keys} for index in range(count)]
+        return Phase(**state, start=tensors["start"], end=tensors.get("end"), policies=policies, takes=takes)
+    except (KeyError, TypeError, ValueError, OSError, SafetensorError) as error:
+        raise ToolkitError(f"{file} is truncated or not a phase of this toolkit ({error}); delete it") from None
+
+
+def load_phases(run: Path) -> dict[str, Phase]:
+    """Name -> phase, of all phases that a run folder holds."""
+    return {file.stem: load_phase(file) for file in sorted((run / FOLDER).glob("[!.]*.safetensors"))}
+
+
+def score(episode: Episode) -> float:
+    """How good an episode was: success 1 to 2, the sooner the better; failure by how near the goal the object ended.
+
+    A diverged simulation scores -inf.
+    """
+    if episode.diverged:
+        return -np.inf
+    if episode.success:
+        return 1.0 + 1.0 / (1.0 + episode.steps)
+    return -float(np.linalg.norm(episode.last_observation[_GOAL]))
+
+
+def _slice_of(name: str) -> slice:
+    start = sum(size for key, size in list(OBSERVATION.items())[: list(OBSERVATION).index(name)])
+    return slice(start, start + OBSERVATION[name])
+
+
+_GOAL = _slice_of("goal_from_object")
+
+
+class Witness:
+    """Picks the episodes worth seeing while a transfer runs; what it has seen is on disk before the checkpoint is.
+
+    Seeing the same batch again, as a resumed run does, changes nothing.
+
+    Args:
+        run: the run folder.
+        phases: how many phases each path has ended; for a resumed run.
+    """
+
+    def __init__(self, run: Path, phases: dict[str, int] | None = None) -> None:
+        self.run = run
+        self.ended = dict(phases or {})
+        self._going: dict[str, Phase] = {}
+
+    def saw(
+        self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, policy: GaussianPolicy,
+        episodes: Sequence[Episode], noise: bool, update: int,
+    ) -> None:  # fmt: skip
+        """Judge a batch of episodes.
+
+        Args:
+            path, stage, targets, start: of the branch that plays; start (D,) is where it stands.
+            policy: that played, as it was then.
+            episodes: in the order of their seeds.
+            noise: whether the policy explored.
+            update: of the phase.
+        """
+        phase = self.phase(path, stage, targets, start)
+        for episode in episodes:
+            self._judge(phase, policy, episode, noise, update)
+        phase.save(self.run)
+
+    def phase(self, path: str, stage: str, targets: Sequence[str], start: np.ndarray) -> Phase:
+        """The phase that a path is in; begun, or continued from its file, if need be."""
+        fresh = Phase(path, self.ended.get(path, 0), stage, list(targets), np.array(start))
+        if self._going.get(path) is None or self._going[path].name != fresh.name:
+            file = self.run / FOLDER / f"{fresh.name}.safetensors"
+            self._going[path] = load_phase(file) if file.exists() else fresh
+        return self._going[path]
+
+    def ends(self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, end: np.ndarray) -> Phase:
+        """A phase has ended at ``end`` (D,); the next one counts on."""
+        phase = self.phase(path, stage, targets, start)
+        phase.end = np.array(end)
+        phase.save(self.run)
+        self.ended[path] = phase.number + 1
+        return phase
+
+    def _judge(self, phase: Phase, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> None:
+        value = score(episode)
+        known = (episode.seed, noise, update)
+        again = any((t.seed, t.noise, t.update) == known and np.array_equal(t.alpha, episode.alpha) for t in phase.takes)
+        best, worst = phase.take("best"), phase.take("worst")
+        roles = ["last"]
+        if not again:
+            roles += ["first"] if phase.take("first") is None else []
+            roles += ["failure"] if not episode.success and phase.take("failure") is None else []
+            roles += ["best"] if best is None or value > best.score else []
+            roles += ["worst"] if worst is None or value < worst.score else []
+        for take in phase.takes:
+            take.roles = [role for role in take.roles if role not in roles]
+        if again:
+            same = next(t for t in phase.takes if (t.seed, t.noise, t.update) == known and np.array_equal(t.alpha, episode.alpha))
+            same.roles.append("last")
+        else:
+            index = self._policy(phase, policy)
+            phase.takes.append(
+                Take(episode.seed, noise, episode.success, episode.diverged, episode.steps, value, update, index,
+                     np.array(episode.alpha), sorted(roles, key=ROLES.index))
+            )  # fmt: skip
+        self._drop_unused(phase)
+
+    @staticmethod
+    def _policy(phase: Phase, policy: GaussianPolicy) -> int:
+        layers = policy.layers()
+        wanted = {"parameters": policy.parameters, "shift": np.array(layers.shift), "scale": np.array(layers.scale)}
+        for index, known in enumerate(phase.policies):
+            if all(np.array_equal(known[key], wanted[key]) for key in wanted):
+                return index
+        phase.policies.append(wanted)
+        return len(phase.policies) - 1
+
+    @staticmethod
+    def _drop_unused(phase: Phase) -> None:
+        phase.takes = [take for take in phase.takes if take.roles]
+        used = sorted({take.policy for take in phase.takes})
+        phase.policies = [phase.policies[index] for index in used]
+        for take in phase.takes:
+            take.policy = used.index(take.policy)

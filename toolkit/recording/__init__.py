@@ -1,0 +1,11 @@
+"""Recordings for the Rerun viewer; the only package that imports rerun.
+
+    programs    where the viewer is
+    stream      one .rrd file, or a viewer; the timelines "film" and "iteration"
+    scene       robots in 3-D, every mesh once
+    evolution, learning, rollouts    one page each
+    layout      the pages as tabs
+    story       a run told record by record
+    shows       whole recordings: of a run, of a morph, of two robots side by side
+    viewer      opening, serving, taking stills, reading back
+"""

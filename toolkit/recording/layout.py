@@ -1,0 +1,71 @@
+"""The layout of the viewer: one tab per page, on one timeline, so that nobody arranges panels by hand."""
+
+from collections.abc import Callable
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from toolkit.recording.stream import FILM, ITERATION
+
+PAGES = ("evolution", "morph", "rollouts", "learning", "summary")
+BACKGROUND = (236, 239, 244)
+EYE = (np.array([0.52, -0.92, 1.45]), np.array([-0.22, 0.0, 1.08]))
+"""Where the robot is seen from, and the point looked at [m]."""
+
+
+def robot_view(name: str, width: float = 1.0, centre: np.ndarray | None = None) -> rrb.Spatial3DView:
+    """The scene from in front of the robot; ``width`` steps back for several robots around ``centre`` (3,) [m]."""
+    position, target = EYE
+    shift = np.zeros(3) if centre is None else centre
+    eye = rrb.EyeControls3D(position=target + width * (position - target) + shift, look_target=target + shift, eye_up=(0.0, 0.0, 1.0))
+    return rrb.Spatial3DView(origin="scene", name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
+
+
+def pages_layout(views: Callable[[], dict[str, rrb.View]], page: str | None = None, timeline: str = FILM) -> rrb.Blueprint:
+    """All pages as tabs, or one of them alone.
+
+    Args:
+        views: makes them by name, from the pages' own ``views``; anew for every page, as a view has one place only.
+        page: one of PAGES; None: all.
+        timeline: that is shown first.
+    """
+    wanted = [page] if page in PAGES else PAGES
+    built = {name: container for name in wanted if (container := _page(name, views())) is not None}
+    root = built[page] if page in built else rrb.Tabs(*built.values(), active_tab=0)
+    return quiet_layout(root, timeline)
+
+
+def quiet_layout(root: rrb.Container, timeline: str) -> rrb.Blueprint:
+    """A layout without the viewer's side panels, which play a timeline again and again."""
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, loop_mode="all"),
+        auto_views=False,
+    )
+
+
+def page_timeline(page: str | None) -> str:
+    """The timeline on which a page reads best."""
+    return ITERATION if page == "learning" else FILM
+
+
+def _page(name: str, views: dict[str, rrb.View]) -> rrb.Container | None:
+    have = lambda *keys: [views[key] for key in keys if key in views]  # noqa: E731
+    if name == "evolution":
+        paths = rrb.Vertical(views["tree"], rrb.Horizontal(*have("pca2", "pca3")))
+        return rrb.Horizontal(paths, *have("alpha"), name="Evolution")
+    if name == "morph" and "scene" in views:
+        robot = robot_view("The robot on its way; bones and wireframes are what the physics knows")
+        return rrb.Horizontal(robot, rrb.Vertical(*have("tree", "changes"), row_shares=[2, 3]), column_shares=[3, 2], name="Morph")
+    if name == "rollouts" and "scene" in views:
+        left = rrb.Vertical(views["scene"], *have("caption"), row_shares=[4, 1])
+        right = rrb.Vertical(*have("distance", "position", "action", "grip", "reward"))
+        return rrb.Horizontal(left, right, column_shares=[5, 4], name="Rollouts")
+    if name == "learning":
+        keys = have("success", "train_success", "mean_return", "kl", "sim_epochs", "train_iterations", "diverged", "wall")
+        return rrb.Grid(*keys, grid_columns=4, name="Learning") if keys else None
+    if name == "summary" and "summary" in views:
+        return rrb.Vertical(views["summary"], name="Summary")
+    return None

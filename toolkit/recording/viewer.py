@@ -1,0 +1,173 @@
+"""The Rerun viewer: opening recordings, serving them to a browser, taking stills without a screen, reading them back."""
+
+import os
+import socket
+import subprocess
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from rerun.chunk import RrdReader
+
+from toolkit.errors import ToolkitError
+from toolkit.recording.programs import viewer_program
+from toolkit.recording.stream import FILM
+
+WEB_PORT, VIEWER_PORT = 9090, 9876
+"""The viewer's own defaults."""
+STILL_SIZE = "1600x1000"
+STILL_PATIENCE = 90.0
+"""[s] that a viewer without a screen may take to show a recording."""
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    linux = os.name == "posix" and os.uname().sysname == "Linux"
+    return not linux or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+
+
+def recording_of(path: Path) -> Path:
+    """The recording of a run folder, or the file itself.
+
+    Raises:
+        ToolkitError: there is none, or it cannot be read: truncated, or no recording.
+    """
+    file = path / "recording.rrd" if path.is_dir() else path
+    if not file.exists():
+        hint = "; make it with --rebuild" if (path / "config.json").exists() else ""
+        raise ToolkitError(f"no recording at {file}{hint or '; give an .rrd file, or the folder of a run that records'}")
+    reader_of(file)
+    return file
+
+
+def open_window(*files: Path) -> None:
+    """Open a recording, and a layout for it, in a viewer of its own."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, **quiet)
+
+
+def serve(*files: Path) -> tuple[subprocess.Popen, str, str]:
+    """Serve a viewer to browsers, showing a recording (and a layout for it), or whatever is sent to it.
+
+    Returns:
+        the process, which lives until it is ended; the address for a browser; the address to which streams are sent.
+
+    Raises:
+        ToolkitError: the server does not start.
+    """
+    web, port = free_port(WEB_PORT), free_port(VIEWER_PORT)
+    command = [str(viewer_program()), *map(str, files), "--serve-web", "--web-viewer-port", str(web), "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    proxy = f"rerun+http://127.0.0.1:{port}/proxy"
+    if not _answers(web, process) or not _answers(port, process):
+        process.terminate()
+        raise ToolkitError(f"the web viewer does not start on ports {web} and {port}; end what uses them")
+    return process, f"http://127.0.0.1:{web}/?url={proxy.replace(':', '%3A').replace('/', '%2F').replace('+', '%2B')}", proxy
+
+
+def follow_window() -> tuple[subprocess.Popen, str]:
+    """A viewer that waits for a stream; returns its process and the address to send to."""
+    port = free_port(VIEWER_PORT)
+    command = [str(viewer_program()), "--port", str(port), "--expect-data-soon"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _answers(port, process)
+    return process, f"rerun+http://127.0.0.1:{port}/proxy"
+
+
+def still(files: Sequence[Path], out: Path, at: float | None = None, size: str = STILL_SIZE, timeline: str = FILM) -> None:
+    """Show a recording in a viewer without a screen and save what it shows.
+
+    Args:
+        files: the recording, and perhaps a layout for it.
+        out: PNG file.
+        at: [s] on the film, or number of the iteration; None: where the recording begins.
+        size: "WIDTHxHEIGHT" in pixels.
+        timeline: that ``at`` is on.
+
+    Raises:
+        ToolkitError: no graphics driver, or the viewer does not get there.
+    """
+    from rerun.experimental import ViewerClient
+
+    port = free_port(VIEWER_PORT)
+    command = [str(viewer_program()), *map(str, files), "--headless", "--port", str(port), "--window-size", size]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    try:
+        if not _answers(port, process):
+            raise ToolkitError(
+                "the viewer cannot draw here; install a Vulkan driver (Debian: mesa-vulkan-drivers) and set VK_DRIVER_FILES to it"
+            )
+        client = ViewerClient(f"127.0.0.1:{port}")
+        deadline = time.monotonic() + STILL_PATIENCE
+        while not _shows(client):
+            if time.monotonic() > deadline or process.poll() is not None:
+                raise ToolkitError(f"the viewer did not show {files[0]} within {STILL_PATIENCE:.0f} s; see `meta-evolve doctor`")
+            time.sleep(0.5)
+        if at is not None:
+            moment = {"sequence": int(at)} if timeline != FILM else {"duration": float(at)}
+            client.set_time(timeline, **moment, play_state="paused")
+        time.sleep(3.0)  # meshes and texts are loaded frame by frame
+        client.take_screenshot()
+        out.write_bytes(client.take_screenshot())
+    except OSError as error:
+        raise ToolkitError(f"{out} cannot be written ({error.strerror})") from None
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _shows(client: object) -> bool:
+    try:
+        state = client.get_state()
+    except RuntimeError:
+        return False
+    return bool(getattr(state, "recordings", None)) and getattr(state, "active_recording", True) is not None
+
+
+def reader_of(path: Path) -> RrdReader:
+    """Open a recording for reading.
+
+    Raises:
+        ToolkitError: it cannot be read, is cut off, or is no recording.
+    """
+    try:
+        with open(path, "rb") as file:
+            ours = file.read(4) == b"RRF2"
+    except OSError as error:
+        raise ToolkitError(f"recording {path} cannot be read ({error.strerror}); check the path") from None
+    if not ours:
+        raise ToolkitError(f"{path} is not a Rerun recording; give an .rrd file written by `meta-evolve transfer`")
+    try:
+        with warnings.catch_warnings():  # a running or killed transfer's file has no footer, and reads well without
+            warnings.simplefilter("ignore")
+            reader = RrdReader(path)
+            found = reader.recordings()
+    except (RuntimeError, ValueError):
+        found = []
+    if not found:
+        raise ToolkitError(f"recording {path} is cut off; make it anew with `meta-evolve view {path.parent} --rebuild`")
+    return reader
+
+
+def free_port(wanted: int) -> int:
+    """The wanted port if nobody listens on it, else any free one."""
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+                return probe.getsockname()[1]
+            except OSError:
+                continue
+    raise ToolkitError("no port is free on this machine")
+
+
+def _answers(port: int, process: subprocess.Popen, patience: float = 30.0) -> bool:
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline and process.poll() is None:
+        with socket.socket() as probe:
+            probe.settimeout(1.0)
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return True
+        time.sleep(0.2)
+    return False

@@ -1,0 +1,158 @@
+"""Figures of a run, readable in black and white: lines differ by dash and marker, shares of success by lightness and number."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from toolkit.morphology.space import EvolutionSpace
+from toolkit.plan import Plan, matrix
+
+DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 2, 2, 2)))
+MARKERS = "osv^Dx+*"
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444", "#96821e")
+PANELS = {
+    "success": ("check", "success", "Success without noise"),
+    "train_success": ("update", "train_success", "Success while training"),
+    "mean_return": ("update", "mean_return", "Discounted return"),
+    "kl": ("update", "kl", "KL divergence of an update"),
+    "sim_epochs": (None, "sim_epochs", "Training episodes"),
+    "diverged": (None, "diverged", "Diverged simulations"),
+}
+"""Key -> event that tells it (None: every record), its key there, and the title of its panel."""
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG."""
+    out = BytesIO()
+    figure.savefig(out, format="png", dpi=130)
+    return out.getvalue()
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None]]) -> Figure:
+    """The tree to scale. Walked edges are thick, darker with more success, which is also written on them.
+
+    Args:
+        plan: the tree.
+        walked: (from, to, share of the edge that is done, success or None) of every edge with a path on it.
+    """
+    figure = _figure(7.0, 1.2 + 0.75 * len(plan.nodes))
+    axes = figure.subplots()
+    for edge in plan.edges:
+        line = plan.stretch(edge, 0.0, 1.0)
+        axes.plot(*line.T, color="#bbbbbb", linewidth=1.2, zorder=1)
+        axes.annotate(f"{edge['length']:.1f}", (line[-2] + line[-1]) / 2 + (0, -8), ha="center", va="bottom", fontsize=8, color="#444444")
+    for start, end, share, success in walked:
+        edge = next(edge for edge in plan.edges if (edge["from"], edge["to"]) == (start, end))
+        line = plan.stretch(edge, 0.0, share)
+        grey = 0.75 - 0.75 * (success if success is not None else 0.3)
+        axes.plot(*line.T, color=str(grey), linewidth=4.5, zorder=2, solid_capstyle="butt")
+        text = "walked" if success is None else f"success {success:.0%}"
+        axes.annotate(text, (line[-2] + line[-1]) / 2 + (0, 10), ha="center", va="top", fontsize=8)
+    for name, node in plan.nodes.items():
+        marker = {"source": "s", "meta": "D", "target": "o"}[node["kind"]]
+        axes.plot(*plan.places[name], marker, color="white", markeredgecolor="black", markersize=9, zorder=3)
+        axes.annotate(name, plan.places[name], xytext=(8, 8), textcoords="offset points", fontsize=9, weight="bold", zorder=4)
+    axes.set_title("Evolution tree to scale (square: source, diamonds: meta robots, circles: targets)", fontsize=9, loc="left")
+    axes.margins(x=0.12, y=0.2)
+    axes.invert_yaxis()
+    axes.set_axis_off()
+    return figure
+
+
+def projection_figure(plan: Plan, ways: Sequence[np.ndarray]) -> Figure:
+    """The tree and the paths walked, (n, D) robots each, in the plane of most variance."""
+    figure = _figure(5.0, 4.0)
+    axes = figure.subplots()
+    index = {name: plan.project(np.array(node["alpha"]))[0] for name, node in plan.nodes.items()}
+    for edge in plan.edges:
+        axes.plot(*np.array([index[edge["from"]], index[edge["to"]]])[:, :2].T, color="#bbbbbb", linewidth=1.2)
+    for way in ways:
+        axes.plot(*plan.project(way)[:, :2].T, color="black", linewidth=1.8, marker=".", markersize=4)
+    for name, spot in index.items():
+        marker = {"source": "s", "meta": "D", "target": "o"}[plan.nodes[name]["kind"]]
+        axes.plot(*spot[:2], marker, color="white", markeredgecolor="black", markersize=8, zorder=3)
+        axes.annotate(name, spot[:2], xytext=(7, 5), textcoords="offset points", fontsize=9)
+    share = [*plan.share, 0.0, 0.0]
+    axes.set_xlabel(f"1st principal component ({share[0]:.0%} of the variance)", fontsize=8)
+    axes.set_ylabel(f"2nd ({share[1]:.0%})", fontsize=8)
+    axes.margins(0.15)
+    axes.tick_params(labelsize=7)
+    return figure
+
+
+def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
+    """alpha of robots (D,) as matrices: a row per joint or shape, a column per quantity, white 0 to black 1."""
+    places, rows, columns = matrix(space)
+    width = int(places[:, 0].max()) + 1
+    figure = _figure(2.0 + 3.3 * min(len(robots), 2), 0.5 + (0.155 * len(rows) + 1.0) * ((len(robots) + 1) // 2))
+    panels = np.atleast_1d(figure.subplots((len(robots) + 1) // 2, min(len(robots), 2), sharex=True, sharey=True)).ravel()
+    for axes, (name, alpha) in zip(panels, robots.items(), strict=False):
+        image = np.full((len(rows), width), np.nan)
+        image[places[:, 1].astype(int), places[:, 0].astype(int)] = alpha
+        axes.set_facecolor("#f2f2f2")
+        axes.imshow(image, cmap="Greys", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
+        for line in range(1, len(rows)):
+            axes.axhline(line - 0.5, color="white", linewidth=0.4)
+        axes.set_title(name, fontsize=9, loc="left")
+        axes.set_yticks(range(len(rows)), rows, fontsize=6)
+        axes.set_xticks(list(columns.values()), list(columns), rotation=90, fontsize=6)
+        axes.tick_params(length=0)
+    for axes in panels[len(robots) :]:
+        axes.set_axis_off()
+    return figure
+
+
+def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
+    """Learning curves over the run's records, one line per path."""
+    figure = _figure(8.0, 6.2)
+    panels = figure.subplots(3, 2, sharex=True)
+    paths = list(dict.fromkeys(record["path"] for record in records))
+    for axes, (key, (event, name, title)) in zip(panels.ravel(), PANELS.items(), strict=True):
+        for k, path in enumerate(paths):
+            points = [(i, record[name]) for i, record in enumerate(records)
+                      if record["path"] == path and event in (None, record["event"]) and record.get(name) is not None]  # fmt: skip
+            if points:
+                axes.plot(*zip(*points, strict=True), color=COLOURS[k % 8], linestyle=DASHES[k % 8], marker=MARKERS[k % 8], markersize=3.5,
+                          linewidth=1.3, label=path)  # fmt: skip
+        if not axes.lines:
+            axes.annotate("none in this run", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=8, color="#666666")
+        if "success" in key:
+            axes.set_ylim(-0.04, 1.04)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.tick_params(labelsize=7)
+        axes.grid(color="#dddddd", linewidth=0.6)
+    for axes in panels[-1]:
+        axes.set_xlabel("record of metrics.jsonl", fontsize=8)
+    _legend(panels[0, 0])
+    return figure
+
+
+def strip_figure(title: str, pictures: Sequence[np.ndarray], shares: Sequence[float]) -> Figure:
+    """Stills (h, w, 3) in two rows of four, each with how far along the path it is."""
+    columns = 4
+    rows = (len(pictures) + columns - 1) // columns
+    figure = _figure(8.0, 0.35 + 2.1 * rows)
+    panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, picture, share in zip(panels, pictures, shares, strict=False):
+        axes.imshow(picture)
+        axes.set_title(f"{share:.0%}", fontsize=8)
+    figure.suptitle(title, fontsize=10, x=0.01, ha="left")
+    return figure
+
+
+def _legend(axes: Axes) -> None:
+    if axes.lines:
+        axes.legend(fontsize=7, frameon=False, loc="lower left")
