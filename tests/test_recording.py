@@ -195,7 +195,8 @@ def test_curves_have_a_point_per_record_on_both_timelines(rows, run):
     totals = [row for row in rows["/learning/sim_epochs"] if "iteration" in row]
     assert [row["iteration"] for row in totals] == list(range(1, len(records) + 1))
     assert len([row for row in rows["/learning/sim_epochs"] if "film" in row and "iteration" not in row]) == len(records)
-    assert rows["/learning/success"][0].get("SeriesLines:names", ["path 1"]) == ["path 1"]
+    widths = {len(row["Scalars:scalars"]) for row in rows["/learning/success"] if "Scalars:scalars" in row}
+    assert widths == {2}, "the viewer draws the first of several lines only if rows differ in length"
 
 
 def test_captions_say_which_episode_it_is_and_how_it_ended(rows):

@@ -30,21 +30,22 @@ class LearningPage:
 
     Args:
         stream: to draw into.
+        count: how many paths there may be; the viewer wants as many numbers in every row.
     """
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: Stream, count: int) -> None:
         self.stream = stream
-        self.paths: list[str] = []
+        self.paths = [f"path {k + 1}" for k in range(count)]
         self._wall: dict[str, float] = {}
         self._before = 0.0
         self._waiting: dict[str, list[np.ndarray]] = {}
+        self._name_lines()
 
     def add(self, iteration: int, record: dict[str, Any]) -> None:
         """One record of the run."""
         path = record["path"]
         if path not in self.paths:
-            self.paths.append(path)
-            self._name_lines()
+            return
         seconds = record.get("seconds")
         if seconds is not None:
             self._wall[path] = self._wall.get(path, 0.0) + max(0.0, seconds - self._before)

@@ -90,7 +90,7 @@ class Story:
         self._casting = Casting(merged, wardrobe)
         self.plan = Plan(tree)
         self.evolution = EvolutionPage(stream, self.plan, merged.space)
-        self.learning = LearningPage(stream)
+        self.learning = LearningPage(stream, len(self.plan.edges) + 1)
         self.rollouts = RolloutsPage(stream, merged.task.goal_tolerance)
         self.scene = Scene(stream, merged, wardrobe)
         self.summary("The run goes on; this page fills when it ends.")

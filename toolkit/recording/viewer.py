@@ -17,7 +17,7 @@ from toolkit.recording.stream import FILM
 WEB_PORT, VIEWER_PORT = 9090, 9876
 """The viewer's own defaults."""
 STILL_SIZE = "1600x1000"
-STILL_PATIENCE = 90.0
+STILL_PATIENCE = 180.0
 """[s] that a viewer without a screen may take to show a recording."""
 
 
@@ -88,40 +88,48 @@ def still(files: Sequence[Path], out: Path, at: float | None = None, size: str =
     Raises:
         ToolkitError: no graphics driver, or the viewer does not get there.
     """
-    from rerun.experimental import ViewerClient
-
+    moment = {} if at is None else {"sequence": int(at)} if timeline != FILM else {"duration": float(at)}
     port = free_port(VIEWER_PORT)
     command = [str(viewer_program()), *map(str, files), "--headless", "--port", str(port), "--window-size", size]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if not _answers(port, process):
             raise ToolkitError(
                 "the viewer cannot draw here; install a Vulkan driver (Debian: mesa-vulkan-drivers) and set VK_DRIVER_FILES to it"
             )
-        client = ViewerClient(f"127.0.0.1:{port}")
-        deadline = time.monotonic() + STILL_PATIENCE
-        while not _shows(client):
-            if time.monotonic() > deadline or process.poll() is not None:
-                raise ToolkitError(f"the viewer did not show {files[0]} within {STILL_PATIENCE:.0f} s; see `meta-evolve doctor`")
-            time.sleep(0.5)
-        if at is not None:
-            moment = {"sequence": int(at)} if timeline != FILM else {"duration": float(at)}
-            client.set_time(timeline, **moment, play_state="paused")
-        time.sleep(3.0)  # meshes and texts are loaded frame by frame
-        client.take_screenshot()
-        out.write_bytes(client.take_screenshot())
-    except OSError as error:
-        raise ToolkitError(f"{out} cannot be written ({error.strerror})") from None
+        picture = _picture(port, process, files[0], moment, timeline)
     finally:
         process.terminate()
         process.wait()
+    try:
+        out.write_bytes(picture)
+    except OSError as error:
+        raise ToolkitError(f"{out} cannot be written ({error.strerror})") from None
+
+
+def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str, float], timeline: str) -> bytes:
+    """What a viewer without a screen shows, as a PNG, once it shows the recording; a busy machine draws slowly."""
+    from rerun.experimental import ViewerClient
+
+    deadline = time.monotonic() + STILL_PATIENCE
+    problem: Exception | str = "it does not answer"
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            client = ViewerClient(f"127.0.0.1:{port}")
+            if _shows(client):
+                if moment:
+                    client.set_time(timeline, **moment, play_state="paused")
+                time.sleep(3.0)  # meshes and texts are loaded frame by frame
+                client.take_screenshot()
+                return client.take_screenshot()
+        except (TimeoutError, RuntimeError, ConnectionError) as error:
+            problem = error
+        time.sleep(0.5)
+    raise ToolkitError(f"the viewer did not show {file} within {STILL_PATIENCE:.0f} s ({problem}); see `meta-evolve doctor`")
 
 
 def _shows(client: object) -> bool:
-    try:
-        state = client.get_state()
-    except RuntimeError:
-        return False
+    state = client.get_state()
     return bool(getattr(state, "recordings", None)) and getattr(state, "active_recording", True) is not None
 
 
