@@ -167,7 +167,7 @@ def test_primitives_become_closed_surfaces():
              "ellipsoid": ([0.1, 0.2, 0.3], 4 / 3 * np.pi * 0.006)}  # fmt: skip
     spec = mujoco.MjSpec()
     for name, (size, _) in kinds.items():
-        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom[f"mjGEOM_{name.upper()}"], size=size)
+        spec.worldbody.add_geom(name=name, type=getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}"), size=size)
     model = spec.compile()
     for name, (_, volume) in kinds.items():
         vertices, faces = geom_triangles(model, model.geom(name).id)
