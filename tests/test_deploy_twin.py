@@ -1,0 +1,264 @@
+"""The runtime against the twin: through a socket, in an interpreter without torch or robosuite, and within its time."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robots import ROBOTS
+from toolkit.bundle import load_bundle
+from toolkit.deploy import wire
+from toolkit.deploy.arm import Command, State
+from toolkit.deploy.drivers.sim import SimDriver
+from toolkit.deploy.runtime import Runtime, TickLog, play, wilson_interval
+from toolkit.errors import ToolkitError
+from toolkit.evaluation import Evaluation
+from toolkit.twin import WATCHDOG, Twin
+
+ROOT = Path(__file__).parent.parent
+BLOCKED = ("torch", "robosuite", "rerun", "pinocchio", "scipy", "numba", "onnx", "safetensors", "gymnasium_robotics", "matplotlib")
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return load_bundle("kinova3")
+
+
+@pytest.fixture(scope="module")
+def served():
+    """A twin in a process of its own, in lockstep, and its port."""
+    command = [sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", "lockstep"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    line = process.stdout.readline()
+    assert line.startswith("twin of kinova3 at 127.0.0.1:"), line
+    yield int(line.rsplit(":", 1)[1])
+    process.terminate()
+    process.wait()
+
+
+@pytest.fixture(scope="module")
+def twin(task):
+    return Twin(ROBOTS["kinova3"], task, "lockstep")
+
+
+def test_deploy_runs_where_there_is_neither_torch_nor_robosuite(served, tmp_path):
+    """The whole command, with every heavy package blocked on the policy's side, moves the twin to success."""
+    log = tmp_path / "log.jsonl"
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({BLOCKED!r}))\n"
+        "from toolkit.cli import main\n"
+        f"main(['deploy', 'kinova3', '--connect', '127.0.0.1:{served}', '--episodes', '1', '--pace', 'lockstep', '--json', "
+        f"'--log', {str(log)!r}])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    assert (content["target"], content["driver"], content["form"], content["pace"]) == ("kinova3", "sim", "osc", "lockstep")
+    assert content["successes"] == content["episodes"] == 1 and content["agrees"] and not content["stopped"] and not content["faults"]
+    first, *rows = [json.loads(line) for line in log.read_text().splitlines()]
+    assert first["format"] == "meta-evolve deployment log" and first["robot"] == "kinova3"
+    assert len(rows) == content["ticks"] and rows[-1]["episode"] == 0
+    assert all({"observe_ms", "policy_ms", "command_ms", "age_ms", "action", "target"} <= set(row) for row in rows)
+
+
+@pytest.mark.parametrize("form", ["pose", "joint"])
+def test_poses_and_joint_angles_do_the_task_on_a_position_controlled_arm(bundle, served, form):
+    driver = SimDriver("127.0.0.1", served)
+    runtime = Runtime(bundle, driver.connect(), form)
+    driver.begin(10**9)
+    outcome = play(runtime, driver, TickLog(None, {}), "lockstep")
+    assert outcome.success and driver.result()["success"] and not outcome.faults, outcome
+    driver._socket.close()
+
+
+def test_a_stopped_twin_takes_no_commands(bundle, served):
+    driver = SimDriver("127.0.0.1", served)
+    driver.connect()
+    driver.begin(10**9)
+    driver.stop("a test")
+    assert "a test" in driver.read().fault
+    with pytest.raises(ToolkitError, match="has been stopped"):
+        driver.send(Command("osc", False, np.zeros(6), np.zeros(0), 0.0, 1.0, 0.08))
+    driver.begin(10**9)
+    assert driver.read().fault == ""
+    for odd in ({"do": "dance"}, {"do": "send", "command": {"form": "osc"}}):
+        with pytest.raises(ToolkitError, match="the twin refuses"):
+            driver._ask(odd)
+    driver._socket.close()
+
+
+def test_nobody_at_the_other_end():
+    with pytest.raises(ToolkitError, match="no twin answers at 127.0.0.1:9 .*meta-evolve twin"):
+        SimDriver("127.0.0.1", 9, patience=0.0).connect()
+
+
+# -- the twin is robosuite's robot -------------------------------------------------------------------------------------
+
+
+def osc(delta, grip=0.0, hold=False):
+    return Command("osc", hold, np.asarray(delta, float), np.zeros(0), grip, 1.0, 0.08)
+
+
+def test_the_twin_moves_as_robosuites_own_step_does(twin, native):
+    robot, rng = native("kinova3"), np.random.default_rng(0)
+    robot.begin(5)
+    twin.begin(5)
+    for _ in range(12):
+        action = rng.uniform(-1, 1, 7)
+        robot.apply(action)
+        twin.send(osc(action[:6], np.sign(action[6])))
+    np.testing.assert_allclose(twin.data.qpos, robot.data.qpos, atol=1e-12)
+
+
+def test_what_the_twin_reports_gives_the_policys_observation(twin, native, bundle):
+    """Through names, the bundle's kinematics and the closing law, against robosuite's own poses."""
+    from toolkit.deploy.kinematics import Kinematics
+    from toolkit.deploy.observer import Observer
+
+    robot = native("kinova3")
+    robot.begin(5)
+    twin.begin(5)
+    observer = Observer(bundle.manifest, Kinematics.of(bundle.manifest, bundle.mjcf))
+    command = bundle.manifest.gripper.preshape
+    for step in range(10):
+        action = np.array([0.2, -0.3, 0.5, 0.1, -0.1, 0.2, 1.0 if step > 3 else -1.0])
+        robot.apply(action)
+        twin.send(osc(action[:6], action[6]))
+        command = float(np.clip(command + bundle.manifest.gripper.rate * action[6], -1, 1))
+    found = twin.read()
+    import mujoco
+
+    mujoco.mj_kinematics(robot.model, robot.data)
+    arrays = {key: np.array(found[key]) for key in ("joints", "fingers", "object_position", "object_quaternion", "goal")}
+    np.testing.assert_allclose(observer(State(0.0, **arrays), command), robot.observe(), atol=1e-9)
+    # A gripper that reports its opening alone: finger angles from the measured table, within a few hundredths of a radian.
+    opened = {key: value for key, value in arrays.items() if key != "fingers"}
+    gripper = bundle.manifest.gripper
+    opening = np.interp(command, gripper.command, gripper.opening_m) / gripper.opening_m[0]
+    rough = observer(State(0.0, **opened, opening=float(opening)), command)
+    assert np.abs(rough - robot.observe()).max() < 0.08
+
+
+class Clock:
+    """Time that passes when told to."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_twin_by_the_clock_follows_it_and_holds_when_commands_cease(twin, monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr("toolkit.twin.time.monotonic", clock)
+    monkeypatch.setattr(twin, "pace", "real")
+    twin.begin(5)
+    assert twin.catch_up() > 0, "its clock starts with the first command"
+    height = twin.data.site_xpos[twin._site][2]
+
+    def pass_time(seconds):
+        clock.now += seconds
+        while twin.catch_up() == 0.0:
+            pass
+
+    twin.send(osc([0, 0, 1, 0, 0, 0], 1.0))
+    pass_time(0.0501)
+    moved = twin.data.site_xpos[twin._site][2] - height
+    assert twin._played == 25 and 0.004 < moved < 0.03
+    before = twin.native.env.robots[0].gripper["right"].current_action.copy()
+    pass_time(WATCHDOG * 0.05 + 0.3)
+    assert np.abs(twin.data.qvel[twin._dofs]).max() < 0.02, "the arm stands"
+    assert (twin.native.env.robots[0].gripper["right"].current_action == before).all(), "the gripper was told once"
+    assert twin.behind >= 0.3
+
+
+# -- time and memory ---------------------------------------------------------------------------------------------------
+
+
+def replayed(bundle, form):
+    """A runtime, and the states of the recorded episode over and over."""
+    g, m = bundle.golden, bundle.manifest
+    joints = tuple(joint.name for joint in m.joints)
+    from toolkit.deploy.arm import ArmInfo
+
+    runtime = Runtime(bundle, ArmInfo(m.robot.name, joints, m.gripper.joints, ("osc", "pose", "joint"), 500.0), form)
+    rows = list(zip(g["episode_joints"], g["episode_object_position"], g["episode_object_quaternion"], g["episode_fingers"], strict=True))
+    number = 0
+    while True:
+        for row, (arm, item, quaternion, fingers) in enumerate(rows[:20]):
+            now = 0.05 * number
+            state = State(now, arm, item, quaternion, g["episode_goal"], fingers)
+            if row == 0:
+                assert runtime.begin(state, now) is None
+            yield runtime, state, now
+            number += 1
+
+
+@pytest.mark.parametrize("form", ["osc", "pose", "joint"])
+def test_a_tick_is_short(bundle, form):
+    """A tick takes a small part of the 50 ms that it has, even on a machine that does much else; docs/deploy.md has figures."""
+    ticks, spent = replayed(bundle, form), []
+    for _ in range(200):
+        runtime, state, now = next(ticks)
+        began = time.thread_time()
+        tick = runtime.tick(state, now)
+        spent.append(1e3 * (time.thread_time() - began))
+        assert tick.fault is None
+    p50, p99 = np.percentile(spent[50:], [50, 99])
+    assert p50 < 6.0, f"{form}: {p50:.2f} ms, 99 %: {p99:.2f} ms"
+
+
+@pytest.mark.parametrize("form", ["osc", "joint"])
+def test_ticks_leave_nothing_behind(bundle, form, tmp_path):
+    """An hour has 72 000 ticks; a thousand of them with their log may not keep more than a few kB."""
+    ticks, log = replayed(bundle, form), TickLog(tmp_path / "log.jsonl", {})
+
+    def some(count):
+        for i in range(count):
+            runtime, state, now = next(ticks)
+            tick = runtime.tick(state, now)
+            tick.times |= {"read": 0.0, "send": 0.0}
+            log.tick(0, i, state, tick, tick.command, False)
+
+    some(200)
+    tracemalloc.start()
+    some(100)
+    before = tracemalloc.get_traced_memory()[0]
+    some(1000)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 20_000, f"{form}: {grown} bytes more after 1000 ticks"
+
+
+# -- small things ------------------------------------------------------------------------------------------------------
+
+
+def test_both_wilson_intervals_agree():
+    for successes, episodes in ((0, 10), (7, 10), (40, 40), (93, 100)):
+        assert wilson_interval(successes, episodes) == pytest.approx(Evaluation("x", "native", episodes, successes, 0, 0).ci95, abs=1e-9)
+
+
+def test_commands_survive_the_wire_and_odd_ones_do_not():
+    command = Command("joint", False, np.arange(7.0), np.ones(7), 1.0, 0.5, 0.04, np.ones((3, 7)))
+    again = wire.command_from_json(json.loads(json.dumps(wire.command_to_json(command))))
+    assert again.waypoints.tolist() == command.waypoints.tolist() and again.grip == 1.0
+    for spoil in ({"target": [1, 2]}, {"form": "osc"}, {"form": "dance"}, {"grip": "x"}, {"rate": None}, {"target": [float("nan")] * 7}):
+        with pytest.raises(ToolkitError):
+            wire.command_from_json(wire.command_to_json(command) | spoil)
+
+
+def test_the_deploy_package_says_what_it_imports():
+    """No file of toolkit/deploy imports anything but NumPy, MuJoCo, mink, the toolkit's light files and the standard library."""
+    allowed = {"numpy", "mujoco", "mink", "toolkit", *sys.stdlib_module_names}
+    vendors = {"rtde_control", "rtde_receive", "franky"}
+    for path in (ROOT / "toolkit" / "deploy").rglob("*.py"):
+        found = set(re.findall(r"^\s*(?:from|import) ([a-z_0-9]+)", path.read_text(), re.MULTILINE))
+        code = {name for name in found if name not in allowed | vendors}
+        assert not code - {"kortex_api", "builtin_interfaces", "trajectory_msgs"}, f"{path}: {code}"
