@@ -1,11 +1,15 @@
 """Every command of docs/deploy.md runs, in order, in one folder; those on a run use a run of the suite's own making."""
 
+import dataclasses
+import json
 import re
 import shlex
+import zipfile
 from pathlib import Path
 
 import pytest
 
+from toolkit.bundle import load_bundle
 from toolkit.cli.app import app
 from toolkit.deploy.safety import PASSING
 
@@ -27,9 +31,48 @@ def test_the_faults_that_pass_are_the_ones_that_the_page_names():
     assert kinds == set(re.findall(r"`(\w+)`", PAGE.read_text().split("| fault |")[1].split("`META_EVOLVE")[0]))
 
 
-@pytest.mark.parametrize("line", [line for line in COMMANDS if shlex.split(line)[1] in ("verify", "deploy")])
-def test_the_page_can_be_followed(line, tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def followed(tmp_path, monkeypatch):
+    """A folder with the run that the page speaks of, whose policy is the shipped bundle's."""
     monkeypatch.chdir(tmp_path)
-    app.cli(prog="meta-evolve", args=shlex.split(line)[1:])
-    said = capsys.readouterr().out
-    assert "DISAGREES" not in said and "BROKEN" not in said
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    bundle, run = load_bundle("kinova3"), tmp_path / "logs" / "my-run"
+    run.mkdir(parents=True)
+    with zipfile.ZipFile(bundle.path) if bundle.path.suffix == ".zip" else Folder(bundle.path) as archive:
+        name = next(name for name in archive.namelist() if name.endswith("policy.safetensors"))
+        (run / "kinova3.policy.safetensors").write_bytes(archive.read(name))
+    m = bundle.manifest
+    nodes = [{"name": "adroit", "kind": "source", "alpha": [0.0]}, {"name": "kinova3", "kind": "target", "alpha": list(m.lineage.alpha)}]
+    files = {"config": m.run, "tree": {"kind": "steiner", "metric": "l1", "nodes": nodes},
+             "report": {"targets": {"kinova3": {"native": dataclasses.asdict(m.success)}}, "totals": {}, "routes": {}}}  # fmt: skip
+    for file, content in files.items():
+        (run / f"{file}.json").write_text(json.dumps(content))
+    return tmp_path
+
+
+class Folder:
+    """A bundle's folder, read as its .zip would be."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def namelist(self):
+        return [file.name for file in self.path.iterdir()]
+
+    def read(self, name):
+        return (self.path / name).read_bytes()
+
+
+def test_the_page_can_be_followed_from_its_first_command_to_its_last(followed, capsys):
+    for line in COMMANDS:
+        app.cli(prog="meta-evolve", args=shlex.split(line)[1:])
+        said = capsys.readouterr().out
+        assert "DISAGREES" not in said and "BROKEN" not in said, f"{line}: {said}"
+    assert (followed / "kinova3-bundle.zip").is_file() and (followed / "deploy.rrd").is_file()

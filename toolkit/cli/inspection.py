@@ -35,7 +35,7 @@ def view(
     "film" the run plays as one film: the robot turns into the next one, then plays the episodes worth seeing.
 
     Args:
-        path: a run folder or an .rrd file; with --compare one or two run folders.
+        path: a run folder, an .rrd file, or the .jsonl log of a deployment; with --compare one or two run folders.
         rebuild: make the recording anew from the run folder, with every episode that its phases hold.
         live: follow a running transfer.
         compare: one or two targets, or one target of two runs: their final policies side by side, from the same seed.
@@ -48,6 +48,10 @@ def view(
     """
     from toolkit.recording import shows, viewer
 
+    if len(path) == 1 and path[0].suffix == ".jsonl":
+        from toolkit.recording.deployment import record_deployment
+
+        path = (record_deployment(path[0]),)
     if not path or len(path) > 2 or (len(path) == 2 and not compare):
         raise ToolkitError(f"view takes one run folder or .rrd file, and two run folders with --compare; got {len(path)}")
     if live:
