@@ -12,6 +12,7 @@ import pytest
 from toolkit.bundle import load_bundle
 from toolkit.cli.app import app
 from toolkit.deploy.safety import PASSING
+from toolkit.recording import viewer
 
 PAGE = Path(__file__).parent.parent / "docs" / "deploy.md"
 COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE.read_text(), re.DOTALL) for line in block.splitlines() if line]
@@ -35,8 +36,6 @@ def test_the_faults_that_pass_are_the_ones_that_the_page_names():
 def followed(tmp_path, monkeypatch):
     """A folder with the run that the page speaks of, whose policy is the shipped bundle's."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     bundle, run = load_bundle("kinova3"), tmp_path / "logs" / "my-run"
     run.mkdir(parents=True)
     with zipfile.ZipFile(bundle.path) if bundle.path.suffix == ".zip" else Folder(bundle.path) as archive:
@@ -70,9 +69,12 @@ class Folder:
         return (self.path / name).read_bytes()
 
 
-def test_the_page_can_be_followed_from_its_first_command_to_its_last(followed, capsys):
+def test_the_page_can_be_followed_from_its_first_command_to_its_last(followed, capsys, monkeypatch):
+    shown = []
+    monkeypatch.setattr(viewer, "has_display", lambda: True)  # without one, view serves the log until Ctrl-C
+    monkeypatch.setattr(viewer, "open_window", lambda *files: shown.extend(files))
     for line in COMMANDS:
         app.cli(prog="meta-evolve", args=shlex.split(line)[1:])
         said = capsys.readouterr().out
         assert "DISAGREES" not in said and "BROKEN" not in said, f"{line}: {said}"
-    assert (followed / "kinova3-bundle.zip").is_file() and (followed / "deploy.rrd").is_file()
+    assert (followed / "kinova3-bundle.zip").is_file() and [file.name for file in shown] == ["deploy.rrd"]
