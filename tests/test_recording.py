@@ -347,6 +347,8 @@ def test_without_a_display_the_viewer_is_served(rebuilt):
     finally:
         process.terminate()
         process.wait()
+    with pytest.raises(OSError):  # nobody is left behind who serves on
+        urllib.request.urlopen(address.split("?")[0], timeout=20)
 
 
 def test_training_code_needs_no_rerun():
