@@ -40,7 +40,7 @@ def exported(tmp_path_factory):
 
 
 def split(observation):
-    return dict(zip(RECORD, np.split(observation, np.cumsum(list(RECORD.values()))[:-1])))
+    return dict(zip(RECORD, np.split(observation, np.cumsum(list(RECORD.values()))[:-1]), strict=True))
 
 
 def test_onnx_agrees_with_numpy(exported):

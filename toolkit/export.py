@@ -259,5 +259,5 @@ def onnx_max_abs_error(
     if observations.ndim != 2 or observations.shape[1] != n_obs or len(observations) == 0:
         raise ToolkitError(f"observations have shape {observations.shape}; give at least one row of {n_obs}.")
     ends = np.cumsum(list(exported.record.values()))[:-1]
-    actions = [exported(dict(zip(exported.record, np.split(row, ends)))) for row in observations]
+    actions = [exported(dict(zip(exported.record, np.split(row, ends), strict=True))) for row in observations]
     return float(np.abs(np.array(actions, dtype=np.float64) - action_map(policy.mean(observations))).max())

@@ -4,8 +4,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TARGETS, TASK, all_robots, find_robot, make_lab
-from toolkit.cli.terminal import emit, short, table
+from toolkit.cli.names import TASK, all_robots, find_robot, make_lab
+from toolkit.cli.terminal import Progress, emit, short, table
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
@@ -52,21 +52,26 @@ def _check(robot: "Robot", json: bool) -> None:
 
 
 def match(
-    source: str = "adroit", targets: tuple[str, ...] = TARGETS, theta: bool = False, plot: Path | None = None, json: bool = False
+    source: str = "adroit", targets: tuple[str, ...] = (), theta: bool = False, plot: Path | None = None, json: bool = False
 ) -> None:
     """Merge robots into one kinematic tree and measure what the merge keeps of each.
 
     Args:
         source: the robot that the expert was trained on.
-        targets: where the policy should go.
+        targets: where the policy should go; default: every system that is no source.
         theta: list every parameter of the evolution space.
         plot: draw the merged tree into this file (PNG, PDF or SVG).
         json: print one JSON object.
     """
-    lab = make_lab(source, targets, TASK)
-    from toolkit.morphology.parity import parity, plot_merged_tree
+    targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
+    with Progress("match", quiet=json) as progress:
+        lab = make_lab(source, targets, TASK)
+        from toolkit.morphology.parity import parity, plot_merged_tree
 
-    figures = [parity(lab.merged, robot) for robot in (lab.source, *lab.targets)]
+        figures = []
+        for robot in (lab.source, *lab.targets):
+            progress.show("match", f"measuring {robot.name}", len(figures), len(targets) + 1)
+            figures.append(parity(lab.merged, robot))
     if plot is not None:
         plot_merged_tree(lab.space.matching, plot)
     content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters), "robots": figures,
