@@ -250,7 +250,7 @@ def test_no_adversarial_tick_leaves_the_limits_and_every_fault_holds(bundle, for
     runtime = Runtime(bundle, info_of(bundle.manifest), form, policy=wild_policy(rng))
     puppet, checker, watch = Puppet(bundle, rng), Checker(bundle, form), bundle.manifest.watch
     now, played, faults, latched, held = 0.0, 0, set(), False, 0
-    alive = False
+    alive, deck = False, []
     while played < TICKS:
         now += 0.05
         if not alive:
@@ -258,7 +258,10 @@ def test_no_adversarial_tick_leaves_the_limits_and_every_fault_holds(bundle, for
             checker.begin()
             assert runtime.begin(puppet.state, now) is None
             alive, latched, held = True, False, 0
-        harm = str(rng.choice(Puppet.HARMS)) if rng.random() < 0.02 else ""
+        harm = ""
+        if rng.random() < 0.03:
+            deck = deck or list(rng.permutation(Puppet.HARMS))
+            harm = str(rng.choice(Puppet.HARMS)) if latched else str(deck.pop())  # every harm comes to an arm that still moves
         state = puppet.read(now, harm)
         tick = runtime.tick(state, now, late=harm == "late")
         checker.check(tick.command, puppet.state.joints)
