@@ -1,11 +1,10 @@
 """Success where it is claimed: on F(beta), and on the unmodified robosuite robot through robosuite's own env.step."""
 
 import os
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +22,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
-from toolkit.quiet import silence_robosuite
+from toolkit.quiet import start_worker
 from toolkit.simulation.plant import CLOSING, command_law, finger_map
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 
@@ -277,15 +276,9 @@ def evaluate_native(
     return Evaluation(robot.name, "native", episodes, successes, 0, seeds[0])
 
 
-def _start_worker() -> None:
-    """Leave with the parent: a worker whose parent was killed would wait, with its memory, for ever."""
-    silence_robosuite()
-    threading.Thread(target=lambda: (parent_process().join(), os._exit(1)), daemon=True).start()
-
-
 def _outcomes(jobs: Sequence[tuple], workers: int) -> Iterator[bool]:
     if workers == 1 or len(jobs) < 4:
         yield from map(_play_natively, jobs)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
         yield from pool.map(_play_natively, jobs, chunksize=2)

@@ -134,6 +134,7 @@ class Pipeline:
         policy, value = load_expert(job.source.name, job.task.name)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch = job, watch
+        self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
         self.engine = RolloutEngine(self.lab.merged, dump=dump)

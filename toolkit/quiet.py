@@ -1,6 +1,12 @@
-"""Silence for robosuite's greetings: notices, at every import, about options that this toolkit does not use."""
+"""Silence for robosuite's greetings: notices, at every import, about options that this toolkit does not use.
+
+Imports nothing heavy, so that a new process can be silenced before it loads robosuite.
+"""
 
 import logging
+import os
+import threading
+from multiprocessing import parent_process
 
 
 def silence_robosuite() -> None:
@@ -10,3 +16,12 @@ def silence_robosuite() -> None:
 
 def _only_errors(record: logging.LogRecord) -> bool:
     return record.levelno >= logging.ERROR
+
+
+def start_worker() -> None:
+    """First call in a worker process: silent, and gone with its parent.
+
+    A worker whose parent was killed would wait, with its memory, for ever.
+    """
+    silence_robosuite()
+    threading.Thread(target=lambda: (parent_process().join(), os._exit(1)), daemon=True).start()

@@ -86,23 +86,29 @@ class Progress:
 
     def transfer(self, config: Any) -> Any:
         """A callback for Transfer: path, distance to the meta robot, success, episodes per second, budget left."""
-        state = {"distance": float("nan"), "success": float("nan"), "rate": float("nan")}
+        state: dict[str, str] = {}  # what was last known of each
 
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "recorded":
                 if not self.quiet:
                     self.console.print(str(record["cost"]), highlight=False)
                 return
+            if record["event"] == "preparing":
+                self.show("preparing", f"measuring and merging {', '.join(record['robots'])}", now=True)
+                return
             if record["event"] == "evaluating":
                 detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
                 self.show(f"evaluating {record['target']}", detail, now=True)
                 return
-            state["distance"] = record.get("distance", state["distance"])
-            state["success"] = record.get("success", record.get("train_success", state["success"]))
-            state["rate"] = record.get("episodes_per_s", state["rate"])
-            detail = (f"{record['event']}, distance {state['distance']:.2f}, success {state['success']:.0%}, "
-                      f"{record['sim_epochs']} training episodes, {state['rate']:.1f}/s")  # fmt: skip
-            self.show(f"{record['path']} {record['stage']}", detail, record["sim_epochs"], config.path_budget,
+            success = record.get("success", record.get("train_success"))
+            if "distance" in record:
+                state["distance"] = f"{record['distance']:.2f} to go"
+            if success is not None:
+                state["success"] = f"success {success:.0%}"
+            played = f"{record['sim_epochs']} training and {record['check_episodes']} checking episodes"
+            rate = [f"{record['episodes_per_s']:.1f}/s"] if "episodes_per_s" in record else []
+            self.show(f"{record['path']} {record['stage']}", ", ".join([record["event"], *state.values(), played, *rate]),
+                      record["sim_epochs"], config.path_budget,
                       now=record["event"] in ("moved", "split", "arrived", "budget"))  # fmt: skip
 
         return seen
