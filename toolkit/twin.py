@@ -101,6 +101,11 @@ class Twin:
         """Take a command; in lockstep, play its period."""
         if self._stopped:
             raise ToolkitError(f"the twin has been stopped ({self._stopped}); begin a new episode")
+        size = {"osc": 6, "pose": 7, "joint": len(self._names)}[command.form]
+        rates = {"osc": 0, "pose": 6, "joint": len(self._names)}[command.form]
+        rows = command.form == "osc" or (command.waypoints.ndim == 2 and command.waypoints.shape[1] == size and len(command.waypoints) > 0)
+        if command.target.shape != (size,) or command.rate.shape != (rates,) or not rows:
+            raise ToolkitError(f"a {command.form} command for {self.robot.name} has {size} numbers and as many in each waypoint")
         if self._command is None:
             self._clock, self._played = time.monotonic(), 0
         self._command, self._fresh, self._since = command, True, 0
