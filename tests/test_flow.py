@@ -109,7 +109,7 @@ def test_the_report_counts_what_was_watched(played):
     assert report["sim_epochs"] == {"path 1": updates * batch} and report["totals"]["sim_epochs"] <= CONFIG.path_budget
     assert report["check_episodes"] == {"path 1": checked}
     on_disk = [record["event"] for record in Run.open(folder).read_metrics()]
-    assert on_disk == [record["event"] for record in watched if record["event"] not in ("evaluating", "recorded")]
+    assert on_disk == [record["event"] for record in watched if record["event"] not in ("preparing", "evaluating", "recorded")]
     spent = [record for record in watched if record["event"] == "budget"]
     held = [record for record in watched if record["event"] == "check"][-1]["held"]
     assert held or spent, "the path ended without success, and did not say that its budget was spent"
