@@ -73,3 +73,19 @@ def native_fast(task):
         return loaded[name]
 
     return load
+
+
+@pytest.fixture(scope="session")
+def engine(merged):
+    """Plays on the merged robot, on two threads."""
+    from toolkit.simulation.rollout import RolloutEngine
+
+    made = RolloutEngine(merged, threads=2)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def log_elsewhere(tmp_path, monkeypatch):
+    """MuJoCo writes its warnings to MUJOCO_LOG.TXT where it runs."""
+    monkeypatch.chdir(tmp_path)

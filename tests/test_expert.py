@@ -31,24 +31,13 @@ from toolkit.expert import (
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.runs import Run
-from toolkit.simulation.rollout import RolloutEngine
 from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS
 
 SOURCE = "adroit"
 CARDS = sorted(SHIPPED.glob("*.json"))
 
 
-@pytest.fixture(scope="module")
-def engine(merged):
-    engine = RolloutEngine(merged, threads=2)
-    yield engine
-    engine.close()
-
-
-@pytest.fixture(autouse=True)
-def log_elsewhere(tmp_path, monkeypatch):
-    """MuJoCo writes its warnings to MUJOCO_LOG.TXT where it runs."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("log_elsewhere")
 
 
 @pytest.fixture(scope="module")

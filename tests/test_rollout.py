@@ -12,7 +12,7 @@ from toolkit.demonstrations import PickScript
 from toolkit.errors import ToolkitError
 from toolkit.simulation.divergence import Divergence, replay
 from toolkit.simulation.plant import merged_plant
-from toolkit.simulation.rollout import RolloutEngine
+from toolkit.simulation.rollout import RolloutEngine, Tape, play
 
 FIELDS = (
     "observations",
@@ -27,17 +27,7 @@ FIELDS = (
 )
 
 
-@pytest.fixture(scope="module")
-def engine(merged):
-    engine = RolloutEngine(merged, threads=2)
-    yield engine
-    engine.close()
-
-
-@pytest.fixture(autouse=True)
-def log_elsewhere(tmp_path, monkeypatch):
-    """MuJoCo writes its warnings to MUJOCO_LOG.TXT where it runs."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("log_elsewhere")
 
 
 def noisy(observation, rng):
@@ -105,11 +95,14 @@ def test_an_episode_records_what_was_seen_and_done(engine, reference, space):
         assert episode.steps <= engine.merged.task.horizon
 
 
-def test_a_trace_shows_the_episode_that_was_played(engine, space):
-    (episode,) = engine.play(noisy, [space.beta("kinova3")], [5])
-    trace = engine.trace(noisy, space.beta("kinova3"), 5)
-    assert len(trace.qpos) == episode.steps + 1 and trace.success == episode.success
-    assert trace.qpos.shape[1] == trace.model.nq
+def test_a_tape_shows_the_episode_that_was_played(engine, space):
+    alpha = space.beta("kinova3")
+    (episode,) = engine.play(noisy, [alpha], [5])
+    model, data = engine.merged.new()
+    tape = Tape(qpos=[])
+    again = play(merged_plant(engine.merged, alpha, model, data), noisy, 5, alpha, tape)
+    assert len(tape.qpos) == episode.steps + 1 and again.success == episode.success
+    assert np.array(tape.qpos).shape[1] == model.nq
 
 
 # -- policies gone mad ---------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from toolkit.demonstrations import Track, TrackScript
 from toolkit.errors import ToolkitError
 from toolkit.retargeting import HandModel, HandMotion, retarget, track_of
 from toolkit.simulation.plant import CLOSING, Plant, native_plant
-from toolkit.simulation.rollout import Tape, Trace, play
+from toolkit.simulation.rollout import Tape, play
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,16 @@ class Demonstration:
             "infeasible_frames": list(self.motion.infeasible), "raised_m": self.motion.raised,
             "replay_succeeded": self.succeeded, "replay_steps": self.steps,
         }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a replay looked like, for the viewer: the model as it was, and qpos (T + 1, nq) at every policy step."""
+
+    model: mujoco.MjModel
+    qpos: np.ndarray
+    goal: np.ndarray
+    success: bool
 
 
 @dataclass(frozen=True)

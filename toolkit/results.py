@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Waypoint
@@ -192,9 +193,9 @@ _HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 
 def plot_success(runs: Sequence[Result], file: Path) -> None:
     """Bars with 95 % intervals: success of each run on the unmodified robot of each target."""
-    plt = _pyplot()
     targets = _targets(runs)
-    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    axes = figure.subplots()
     width = 0.8 / len(runs)
     for i, run in enumerate(runs):
         found = [(k, run.report["targets"][t]["native"]) for k, t in enumerate(targets) if t in run.report["targets"]]
@@ -206,13 +207,12 @@ def plot_success(runs: Sequence[Result], file: Path) -> None:
     axes.set(ylim=(0, 1.05), ylabel="success, unmodified robot", xticks=range(len(targets)), xticklabels=targets)
     axes.legend(fontsize=7, ncols=2, loc="lower right")
     figure.savefig(file, dpi=110)
-    plt.close(figure)
 
 
 def plot_cost(runs: Sequence[Result], file: Path) -> None:
     """Stacked bars: training and checking episodes of every run, one segment per path."""
-    plt = _pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(9, 0.4 * len(runs) + 1.4), layout="constrained", sharey=True)
+    figure = Figure(figsize=(9, 0.4 * len(runs) + 1.4), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
     for panel, key, label in ((axes[0], "sim_epochs", "simulation epochs"), (axes[1], "check_episodes", "checking episodes")):
         for i, run in enumerate(runs):
             left = 0
@@ -222,15 +222,14 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
         panel.set(xlabel=f"{label}, by path", yticks=range(len(runs)), yticklabels=[run.name for run in runs])
     axes[0].invert_yaxis()
     figure.savefig(file, dpi=110)
-    plt.close(figure)
 
 
 def plot_curves(runs: Sequence[Result], file: Path) -> None:
     """Success measured on the way against episodes played on the path, a panel per run and a curve per path."""
-    plt = _pyplot()
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
-    figure, panels = plt.subplots(rows, columns, figsize=(3.2 * columns, 2.4 * rows), squeeze=False, sharey=True, layout="constrained")
+    figure = Figure(figsize=(3.2 * columns, 2.4 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for panel in panels.flat[len(runs) :]:
         panel.axis("off")
     for run, panel in zip(runs, panels.flat, strict=False):
@@ -245,14 +244,13 @@ def plot_curves(runs: Sequence[Result], file: Path) -> None:
     for panel in panels[:, 0]:
         panel.set_ylabel("success")
     figure.savefig(file, dpi=110)
-    plt.close(figure)
 
 
 def plot_walk(waypoints: Sequence[Waypoint], file: Path) -> None:
     """Success of an untrained policy along every edge of a tree, a panel per edge."""
-    plt = _pyplot()
     edges = list(dict.fromkeys((w.start, w.end) for w in waypoints))
-    figure, panels = plt.subplots(1, len(edges), figsize=(2.2 * len(edges), 2.2), squeeze=False, sharey=True, layout="constrained")
+    figure = Figure(figsize=(2.2 * len(edges), 2.2), layout="constrained")
+    panels = figure.subplots(1, len(edges), squeeze=False, sharey=True)
     for (start, end), panel in zip(edges, panels.flat, strict=True):
         along = [w for w in waypoints if (w.start, w.end) == (start, end)]
         panel.plot([w.share for w in along], [w.successes / w.episodes for w in along], color="black", marker="o", markersize=3)
@@ -260,13 +258,3 @@ def plot_walk(waypoints: Sequence[Waypoint], file: Path) -> None:
         panel.set(xlabel="share of the edge", ylim=(-0.03, 1.03))
     panels[0, 0].set_ylabel("success")
     figure.savefig(file, dpi=110)
-    plt.close(figure)
-
-
-def _pyplot() -> Any:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot

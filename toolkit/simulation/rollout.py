@@ -25,16 +25,6 @@ Actor = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 @dataclass
-class Trace:
-    """What an episode looked like, for the viewer: the model as it was, and qpos (T + 1, nq) at every policy step."""
-
-    model: mujoco.MjModel
-    qpos: np.ndarray
-    goal: np.ndarray
-    success: bool
-
-
-@dataclass
 class Tape:
     """What an episode leaves besides its Episode, for those who ask.
 
@@ -193,13 +183,6 @@ class RolloutEngine(_Engine):
 
     def _scene(self) -> dict[str, Any]:
         return {"robots": self.merged.space.matching.names, "native": False, "task": self.merged.task.name}
-
-    def trace(self, actor: Actor, alpha: np.ndarray, seed: int) -> Trace:
-        """One episode with what the viewer needs, on a model of its own; not counted."""
-        model, data = self.merged.new()
-        plant, tape = merged_plant(self.merged, alpha, model, data), Tape(qpos=[])
-        episode = play(plant, actor, seed, alpha, tape)
-        return Trace(model, np.array(tape.qpos), plant.goal, episode.success)
 
 
 class NativeEngine(_Engine):
