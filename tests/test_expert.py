@@ -1,11 +1,14 @@
 """The source expert: a script that succeeds, a clone that follows it, and the experts that come with the package."""
 
 import json
+import re
 import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import toolkit
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.objects import OBJECTS
@@ -15,7 +18,6 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
 from toolkit.expert import (
     DEMONSTRATION_SEEDS,
-    EXPERT_SEEDS,
     OBSERVATION_NOISE,
     SHIPPED,
     ExpertConfig,
@@ -31,7 +33,6 @@ from toolkit.expert import (
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.runs import Run
-from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS
 
 SOURCE = "adroit"
 CARDS = sorted(SHIPPED.glob("*.json"))
@@ -110,14 +111,23 @@ def test_names_are_one_per_number():
     assert entry(observation, "goal_from_object")[-1] == OBSERVATION_SIZE - 1
 
 
+BLOCK = 10**6
+
+
 def test_no_two_purposes_share_seeds():
-    spans = {
-        "training": (0, TRAINING_SEEDS), "checking": (CHECKING_SEEDS, CHECKING_SEEDS + 10**4),
-        "demonstrations": (DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + ExpertConfig().demonstrations),
-        "expert": (EXPERT_SEEDS, EXPERT_SEEDS + 10**6), "evaluation": (EVALUATION_SEEDS, 2**63),
-    }  # fmt: skip
-    ordered = sorted(spans.values())
-    assert all(end <= start for (_, end), (start, _) in zip(ordered, ordered[1:], strict=False)), spans
+    """Every constant of the package that names seeds is the first of its own million, and evaluation's are above them all."""
+    named = re.compile(r"^(\w+_SEEDS) = (.+)$", re.MULTILINE)
+    found = {
+        (file.stem, name): eval(value, {"__builtins__": {}})
+        for file in sorted(Path(toolkit.__file__).parent.rglob("*.py"))
+        for name, value in named.findall(file.read_text())
+    }
+    assert found.pop(("runtime", "EVALUATION_SEEDS")) == found.pop(("evaluation", "EVALUATION_SEEDS")) == EVALUATION_SEEDS
+    assert found.pop(("transfer", "TRAINING_SEEDS")) == BLOCK, "training's seeds are the first million"
+    assert {("expert", "EXPERT_SEEDS"), ("expert", "VISIT_SEEDS"), ("transfer", "DEMONSTRATION_SEEDS")} <= found.keys()
+    blocks = {name: divmod(first, BLOCK) for name, first in found.items()}
+    assert len({block for block, _ in blocks.values()}) == len(blocks) and all(rest == 0 for _, rest in blocks.values()), blocks
+    assert all(0 < block and (block + 1) * BLOCK <= EVALUATION_SEEDS for block, _ in blocks.values()), blocks
 
 
 # -- training ------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ REACH = 0.1
 """h: far enough for contact to answer, near enough to be local [alpha]."""
 STEPS = 30
 """Policy steps of a short rollout: approach and closing."""
-SENSITIVITY_SEEDS = 5 * 10**6
+SENSITIVITY_SEEDS = 7 * 10**6
 """Rollouts and judgements take their seeds from here on."""
 
 

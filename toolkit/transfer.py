@@ -41,7 +41,7 @@ TRAINING_SEEDS = 10**6
 CHECKING_SEEDS = 2 * 10**6
 """The schedule measures success on seeds from here on: the same for every robot (common random numbers), none trained."""
 
-DEMONSTRATION_SEEDS = 4 * 10**6
+DEMONSTRATION_SEEDS = 6 * 10**6
 """What the expert shows on the source is played on seeds from here on."""
 
 
