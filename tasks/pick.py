@@ -106,46 +106,46 @@ ACTION: dict[str, int] = {
 ACTION_SIZE = sum(ACTION.values())
 
 
-def sine_of_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Axis times sine of the angle of a rotation matrix (3, 3): smooth at zero, odd, bounded by 1."""
-    out = np.empty(3)
-    out[0] = 0.5 * (rotation[2, 1] - rotation[1, 2])
-    out[1] = 0.5 * (rotation[0, 2] - rotation[2, 0])
-    out[2] = 0.5 * (rotation[1, 0] - rotation[0, 1])
-    return out
-
-
 def observe(
     fingers: np.ndarray,
     progress: float,
     grasp_position: np.ndarray,
-    grasp_rotation_from_start: np.ndarray,
+    grasp_rotation: np.ndarray,
     object_position: np.ndarray,
     object_rotation: np.ndarray,
     goal: np.ndarray,
     start_position: np.ndarray,
+    start_rotation: np.ndarray,
 ) -> np.ndarray:
     """The observation vector (n_obs,), entries in the order of OBSERVATION.
+
+    A rotation R enters as axis times sine of its angle, half the antisymmetric part of R: smooth at zero, odd, bounded by 1.
 
     Args:
         fingers: displacements (22,) [rad], in the order of COMMANDED_ROLES.
         progress: of the closing command since the start, -1 to +1.
         grasp_position: (3,) [m], world.
-        grasp_rotation_from_start: sine_of_rotation (3,) of the grasp frame's rotation from its start.
+        grasp_rotation: (3, 3) axes of the grasp frame as columns, world.
         object_position: (3,) [m], world.
-        object_rotation: sine_of_rotation (3,) of the object.
+        object_rotation: (3, 3) of the object, world.
         goal: (3,) [m], world.
         start_position: (3,) [m], START_POSITION.
+        start_rotation: (3, 3), START_ROTATION.
     """
     n = fingers.shape[0]
     out = np.empty(n + 16)
     out[:n] = fingers
     out[n] = progress
-    out[n + 1 : n + 4] = grasp_position - start_position
-    out[n + 4 : n + 7] = grasp_rotation_from_start
-    out[n + 7 : n + 10] = object_position - grasp_position
-    out[n + 10 : n + 13] = object_rotation
-    out[n + 13 : n + 16] = goal - object_position
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        sine = 0.0
+        for m in range(3):  # of grasp_rotation @ start_rotation.T
+            sine += grasp_rotation[k, m] * start_rotation[j, m] - grasp_rotation[j, m] * start_rotation[k, m]
+        out[n + 1 + i] = grasp_position[i] - start_position[i]
+        out[n + 4 + i] = 0.5 * sine
+        out[n + 7 + i] = object_position[i] - grasp_position[i]
+        out[n + 10 + i] = 0.5 * (object_rotation[k, j] - object_rotation[j, k])
+        out[n + 13 + i] = goal[i] - object_position[i]
     return out
 
 

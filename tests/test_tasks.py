@@ -18,10 +18,11 @@ from tasks.pick import (
     OBSERVATION,
     OBSERVATION_SCALE,
     OBSERVATION_SIZE,
+    START_ROTATION,
     TABLE_TOP,
     PickTask,
     is_lost,
-    sine_of_rotation,
+    observe,
 )  # fmt: skip
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import native_env
@@ -265,8 +266,12 @@ def test_records_add_up():
 
 
 @given(vector=st.tuples(*[st.floats(-1.8, 1.8)] * 3))
-def test_sine_of_rotation_is_axis_times_sine(vector):
+def test_rotations_are_observed_as_axis_times_sine(vector):
     vector = np.array(vector)
-    angle = np.linalg.norm(vector)
-    wanted = vector * np.sinc(angle / np.pi)
-    np.testing.assert_allclose(sine_of_rotation(Rotation.from_rotvec(vector).as_matrix()), wanted, atol=1e-12)
+    wanted = vector * np.sinc(np.linalg.norm(vector) / np.pi)
+    turned = Rotation.from_rotvec(vector).as_matrix()
+    zero = np.zeros(3)
+    seen = observe(np.zeros(22), 0.0, zero, turned @ START_ROTATION, zero, turned, zero, zero, START_ROTATION)
+    entries = np.split(seen, np.cumsum(list(OBSERVATION.values()))[:-1])
+    for name in ("grasp_rotation", "object_rotation"):
+        np.testing.assert_allclose(entries[list(OBSERVATION).index(name)], wanted, atol=1e-12, err_msg=name)

@@ -15,7 +15,7 @@ from scipy.stats import binomtest
 from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
-from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe, sine_of_rotation
+from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
 from toolkit.bundle import Bundle, load_bundle
 from toolkit.datasheet import model_sha256
 from toolkit.errors import ToolkitError
@@ -185,10 +185,9 @@ class NativeRobot:
         """The observation record (n_obs,), from robosuite's simulation."""
         data = self.data
         fingers = np.array([sign * (data.qpos[q] - start) if q >= 0 else 0.0 for q, sign, start in self._fingers])
-        rotation = data.site_xmat[self._site].reshape(3, 3) @ START_ROTATION.T
         return observe(
-            fingers, self.law.progress(self.command), np.array(data.site_xpos[self._site]), sine_of_rotation(rotation),
-            self.env.object_position, sine_of_rotation(self.env.object_rotation), self.env.goal, START_POSITION,
+            fingers, self.law.progress(self.command), data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3),
+            self.env.object_position, self.env.object_rotation, self.env.goal, START_POSITION, START_ROTATION,
         )  # fmt: skip
 
     def play(

@@ -13,10 +13,9 @@ import mujoco
 import numpy as np
 
 from toolkit.errors import ToolkitError
+from toolkit.simulation.osc import STATE
 from toolkit.simulation.plant import SPEED_LIMIT, WATCHED_WARNINGS, Plant
 
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""Everything that a step of MuJoCo starts from, warm start included: the same state plays the same step, bit for bit."""
 FORMAT = 1
 """Of the file."""
 _ARRAYS = {"alpha": 1, "state": 1, "command": 1, "goal": 1, "actions": 2}

@@ -44,6 +44,10 @@ SINGULAR = 1e-9
 """Ratio of smallest to largest squared pivot of J M^-1 J^T below which its Cholesky factor is not trusted."""
 
 
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+"""Everything that a step of MuJoCo starts from, warm start included: the same state plays the same step, bit for bit."""
+
+
 def library() -> str:
     """Path of the MuJoCo library that the Python package has loaded."""
     folder = Path(mujoco.__file__).parent
@@ -57,6 +61,7 @@ llvmlite.binding.load_library_permanently(library())
 _ptr = types.uintp
 _mj_step1 = types.ExternalFunction("mj_step1", types.void(_ptr, _ptr))
 _mj_step2 = types.ExternalFunction("mj_step2", types.void(_ptr, _ptr))
+_mj_getState = types.ExternalFunction("mj_getState", types.void(_ptr, _ptr, _ptr, types.int32))
 
 compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 """How functions of the inner loop are compiled: kept on disk, without the lock, division as NumPy divides."""
@@ -209,6 +214,7 @@ def control_step(
     sets_goal: bool,
     action: np.ndarray,
     goal: np.ndarray,
+    before: np.ndarray,
     finger_ctrl: np.ndarray,
     arm: np.ndarray,
     mass_address: np.ndarray,
@@ -239,6 +245,7 @@ def control_step(
         sets_goal: whether ``action`` sets the goal in the first of them; else the goal stays.
         action: (6,) translation and rotation deltas in [-1, 1].
         goal: (4, 3) position over rotation of the grasp frame in base axes; written where ``sets_goal``.
+        before: (n_state,) STATE at the start; written where ``sets_goal``.
         finger_ctrl: (n_finger,) controls of the finger actuators [rad].
         arm: (3, n) qpos address, degree of freedom and actuator of each arm joint.
         mass_address: (n, n) where each entry of the arm's mass matrix stands in qM.
@@ -257,6 +264,8 @@ def control_step(
     base, origin, spin, lever = np.eye(3), base_origin.copy(), np.zeros(3), np.zeros(3)
     position, rotation = site_xpos[site], site_xmat[site].reshape(3, 3)
     wanted = np.empty((3, 3))
+    if sets_goal:
+        _mj_getState(model, data, before.ctypes.data, STATE)
     for substep in range(substeps):
         _mj_step1(model, data)
         if base_follows != 0.0:

@@ -9,7 +9,7 @@ import numpy as np
 
 from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_COMMAND
 from robots.robot import Robot
-from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, observe, sine_of_rotation
+from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, observe
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import BASE_SITE, finger_sign
@@ -28,7 +28,7 @@ SPEED_LIMIT = 200.0
 """Speed [rad/s or m/s] of any joint from which a simulation counts as exploded."""
 
 # Compiled apart from one another: Numba's files on disk follow the file of the function called, not those it calls.
-_observe, _sine_of_rotation, _at_goal = osc.compiled(observe), osc.compiled(sine_of_rotation), osc.compiled(at_goal)
+_observe, _at_goal = osc.compiled(observe), osc.compiled(at_goal)
 
 
 @osc.compiled
@@ -55,11 +55,14 @@ def _progress(state: np.ndarray, closing: np.ndarray, preshape: float) -> float:
 
 
 @osc.compiled
-def _displacements(size: int, qpos: np.ndarray, role: np.ndarray, address: np.ndarray, sign: np.ndarray, start: np.ndarray) -> np.ndarray:
-    out = np.zeros(size)
+def _hand(
+    state: np.ndarray, closing: np.ndarray, preshape: float,
+    qpos: np.ndarray, role: np.ndarray, address: np.ndarray, sign: np.ndarray, start: np.ndarray,
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    out = np.zeros(state.size)
     for i in range(role.size):
         out[role[i]] = sign[i] * (qpos[address[i]] - start[i])
-    return out
+    return out, _progress(state, closing, preshape)
 
 
 @osc.compiled
@@ -135,6 +138,7 @@ class Plant:
 
     Attributes:
         command: (n_roles,) closing command.  goal: (3,) [m], world.
+        before: (n_state,) STATE before the last policy step.
         substeps: of physics per policy step.
         object_body: id.
     """
@@ -166,6 +170,7 @@ class Plant:
         self.substeps = int(round(1.0 / task.control_frequency / model.opt.timestep))
         self.command = np.zeros(len(COMMANDED_ROLES))
         self.goal = np.zeros(3)
+        self.before = np.empty(mujoco.mj_stateSize(model, osc.STATE))
         self._drive = self._arm_drive(list(arm), list(arm_actuator), list(finger_actuator), base)
         self._osc_goal = np.zeros((4, 3))
         # Views: a property of mjData costs as much as a short function.
@@ -214,15 +219,14 @@ class Plant:
         """``count`` steps of physics under the arm part of an action (n_act,), which sets the goal at the first or not."""
         osc.control_step(
             self.model._address, self.data._address, count, sets_goal, action[:6], self._osc_goal,
-            self.law.targets(self.command), *self._drive,
+            self.before, self.law.targets(self.command), *self._drive,
         )  # fmt: skip
 
     def observe(self) -> np.ndarray:
         """The observation record as a vector (n_obs,)."""
         return _observe(
-            _displacements(self.command.size, self._qpos, *self._fingers), self.law.progress(self.command), self._grasp_position,
-            _sine_of_rotation(self._grasp_rotation @ START_ROTATION.T), self._object_position,
-            _sine_of_rotation(self._object_rotation), self.goal, START_POSITION,
+            *_hand(self.command, CLOSING, self.law.preshape, self._qpos, *self._fingers), self._grasp_position,
+            self._grasp_rotation, self._object_position, self._object_rotation, self.goal, START_POSITION, START_ROTATION,
         )  # fmt: skip
 
     def aim(self, action: np.ndarray) -> np.ndarray:

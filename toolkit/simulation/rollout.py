@@ -16,7 +16,7 @@ from robots.robot import Robot
 from tasks.pick import PickTask, is_lost
 from toolkit.learning.episode import Episode
 from toolkit.morphology.build import MergedRobot
-from toolkit.simulation.divergence import STATE, Divergence
+from toolkit.simulation.divergence import Divergence
 from toolkit.simulation.osc import silence_warnings
 from toolkit.simulation.plant import Plant, all_finite, merged_plant, native_plant
 
@@ -78,14 +78,13 @@ def play_on(
     plant: Plant, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, tape: Tape
 ) -> Stretch:
     """Play from where the plant stands: at most ``steps`` policy steps, ending as an episode does; see ``play``."""
-    task, model, data = plant.task, plant.model, plant.data
+    task, data = plant.task, plant.data
     out = Stretch()
-    held, before = 0, np.empty(mujoco.mj_stateSize(model, STATE))
+    held = 0
     while len(out.rewards) < steps and not out.terminated:
         action = np.asarray(actor(observation, rng), float)
         out.observations.append(observation)
         out.actions.append(action)
-        mujoco.mj_getState(model, data, before, STATE)
         command = plant.command
         if tape.qpos is not None:
             tape.qpos.append(np.array(data.qpos))
@@ -98,7 +97,7 @@ def play_on(
     out.observation = observation
     if tape.qpos is not None:
         tape.qpos.append(np.array(data.qpos))
-    tape.broken = (before, command) if out.diverged else None
+    tape.broken = (plant.before.copy(), command) if out.diverged else None
     return out
 
 
