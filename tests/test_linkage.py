@@ -83,7 +83,8 @@ def test_the_merged_robot_carries_what_was_measured(matching, space):
             row = space.curve_slots.index(slot)
             np.testing.assert_allclose(theta["curve"][row], curve.coefficients, atol=1e-9)
             assert theta["curve_stiffness"][row, 0] == pytest.approx(curve.stiffness)
-            assert theta["spring"][curve.driven, 0] == pytest.approx(system.joints[curve.driven].spring) != 0
+            spring = theta["spring_share"][curve.driven, 0] * theta["stiffness"][curve.driven, 0]
+            assert spring == pytest.approx(system.joints[curve.driven].spring) != 0
 
 
 def test_pads_are_held_as_softly_as_was_measured(merged, space):

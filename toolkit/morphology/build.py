@@ -176,7 +176,7 @@ class MergedRobot:
         freeze = theta["freeze"][:, 0]
         lock_spring, lock_damping, lock_armature, folds = self._hold
         locked = np.expm1(folds * freeze) / np.expm1(folds)
-        own_spring = theta["spring"][:, 0]
+        own_spring, own_quadratic = (theta[name][:, 0] * theta["stiffness"][:, 0] for name in ("spring_share", "spring_share_quadratic"))
         spring = own_spring + locked * lock_spring  # the lock's spring rests at zero
         presence = theta["shape_presence"][:, 0]
         size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
@@ -195,7 +195,7 @@ class MergedRobot:
             limits=theta["limits"],
             margin=theta["limit_margin"][:, 0],
             spring=spring,
-            spring_quadratic=theta["spring_quadratic"][:, 0],
+            spring_quadratic=own_quadratic,
             spring_rest=own_spring * theta["spring_rest"][:, 0] / np.maximum(spring, 1e-12),
             damping=theta["damping"][:, 0] * (1 - freeze) + locked * lock_damping,
             armature=theta["armature"][:, 0] * (1 - freeze) + locked * lock_armature,

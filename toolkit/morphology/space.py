@@ -303,8 +303,11 @@ class EvolutionSpace:
             slot_field("armature", "kg m^2", ("",), lambda j, i: j.armature),
             slot_field("friction_loss", "N m", ("",), lambda j, i: j.friction_loss, absent=[0.0]),
             slot_field("limit_margin", "rad", ("",), lambda j, i: j.margin),
-            slot_field("spring", "N m/rad", ("",), lambda j, i: j.spring, absent=[0.0]),
-            slot_field("spring_quadratic", "N m/rad^2", ("",), lambda j, i: j.spring_quadratic, absent=[0.0]),
+            # A spring pulls against the joint's actuator, which may be twenty times weaker at the other end of the way: as a
+            # share of the actuator's stiffness it moves the joint evenly along it.
+            slot_field("spring_share", "1", ("",), lambda j, i: j.spring and j.spring / j.stiffness, absent=[0.0]),
+            slot_field("spring_share_quadratic", "1/rad", ("",), lambda j, i: j.spring and j.spring_quadratic / j.stiffness,
+                       absent=[0.0]),  # fmt: skip
             slot_field("spring_rest", "rad", ("",), lambda j, i: j.spring_rest),
             slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
             slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit),
