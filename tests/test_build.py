@@ -262,15 +262,8 @@ def farthest_apart(merged, fast, name, seed):
     return worst
 
 
-drags = pytest.mark.xfail(
-    strict=False,
-    reason="air drags on each of robosuite's bodies by itself, and Sawyer's and Panda's have wide inertias; the merge keeps "
-    "the largest of a link beside the link"
-)  # fmt: skip
-
-
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("name", [pytest.param(n, marks=drags if n in ("panda", "sawyer") else ()) for n in ROBOTS])
+@every_robot
 def test_the_merged_robot_follows_the_same_commands(merged, native_fast, name, seed, record_property):
     """In free space, gripper open."""
     worst = 1e3 * farthest_apart(merged, native_fast(name), name, seed)

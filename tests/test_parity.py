@@ -19,12 +19,6 @@ LIMITS = {
     "arm_fk_error_m": 1e-6, "arm_mass_matrix_rel_error": 1e-6, "pad_position_error_m": 2e-3, "pad_angle_error_deg": 2.0,
     "pad_force_rel_error": 0.1, "closing_time_difference_steps": 1.0, "grasp_frame_drift_m": 1e-3,
 }  # fmt: skip
-KNOWN = {
-    ("kinova3", "closing_time_difference_steps"): "1.4 steps: the damping fitted on the way does not give the whole time",
-    ("ur5e", "closing_time_difference_steps"): "1.6 steps: the damping fitted on the way does not give the whole time",
-    ("sawyer", "grasp_frame_drift_m"): "1.4 mm: air drags on each body of a link by itself, of which the merge keeps the largest",
-}
-"""(robot, figure) that misses its limit -> what was measured, and why."""
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +33,8 @@ def figures(merged):
     return of
 
 
-@pytest.mark.parametrize(
-    ("name", "figure"),
-    [
-        pytest.param(n, f, marks=pytest.mark.xfail(strict=False, reason=KNOWN[n, f]) if (n, f) in KNOWN else ())
-        for n in ROBOTS for f in LIMITS
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("figure", LIMITS)
+@pytest.mark.parametrize("name", ROBOTS)
 def test_the_merge_keeps(figures, name, figure, record_property):
     value = figures(name)[figure]
     record_property(figure, value)

@@ -52,6 +52,8 @@ IMPEDANCE = np.array([0.9, 0.95])
 """MuJoCo's default impedance of a constraint, at rest and displaced."""
 BOTH_WAYS = np.array([-1.0, 1.0])
 """A limit times this is its range."""
+OTHER_TWO = np.ones((3, 3)) - np.eye(3)
+"""(x, y, z) @ this is (y + z, x + z, x + y)."""
 LOW_AND_WIDTH = np.array([[1.0, 1.0], [0.0, 1.0]])
 """(low, width) @ this is (low, high)."""
 TOUCHES = 0.2
@@ -74,6 +76,7 @@ class Patch:
     inertia: np.ndarray
     inertia_quat: np.ndarray
     air_pos: np.ndarray
+    air_quat: np.ndarray
     air_inertia: np.ndarray
     limits: np.ndarray
     margin: np.ndarray
@@ -138,7 +141,8 @@ class MergedRobot:
         two = np.array([s.kind in slim for s in space.shape_slots])
         self._shape_dims = np.where(two[:, None], (1.0, 1.0, 0.0), 1.0)
         self._shape_reference = np.array([quaternion(s.reference) for s in space.shape_slots])
-        self._airy = np.flatnonzero(space.fields["air_edge"].values.max(axis=(0, 2)) > 0)
+        self._airy = np.flatnonzero(space.fields["air_edges"].values.max(axis=(0, 2)) > 0)
+        self._world_axes = np.tile(quaternion(np.eye(3)), (len(self._airy), 1))
         self._hold = self._holds()
         self._tip_of, self._ends = self._tips()
         self._bone_radius = np.where(np.arange(len(slots)) < self._arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"])
@@ -191,7 +195,8 @@ class MergedRobot:
             inertia=moments,
             inertia_quat=frames,
             air_pos=(theta["air_position"] - anchors)[self._airy],
-            air_inertia=np.maximum(AIR_MASS / 6.0 * theta["air_edge"][self._airy] ** 2, MIN_INERTIA) * np.ones(3),
+            air_quat=turned(theta["air_rotation"][self._airy], self._world_axes),
+            air_inertia=np.maximum(AIR_MASS / 12.0 * theta["air_edges"][self._airy] ** 2 @ OTHER_TWO, MIN_INERTIA),
             limits=theta["limits"],
             margin=theta["limit_margin"][:, 0],
             spring=spring,
@@ -290,7 +295,7 @@ class MergedRobot:
             bodies.append(body)
         for k, i in enumerate(self._airy):
             bodies[i].add_body(
-                name=f"{self.space.matching.slots[i].name}/air", pos=p.air_pos[k], mass=AIR_MASS, ipos=[0, 0, 0],
+                name=f"{self.space.matching.slots[i].name}/air", pos=p.air_pos[k], quat=p.air_quat[k], mass=AIR_MASS, ipos=[0, 0, 0],
                 inertia=p.air_inertia[k], explicitinertial=True,
             )  # fmt: skip
         flange = bodies[self._arm - 1]
@@ -449,7 +454,8 @@ class MergedRobot:
         model.body_pos[self._body], model.body_mass[self._body] = p.body_pos, p.mass
         model.body_ipos[self._body], model.body_iquat[self._body] = p.com, p.inertia_quat
         model.body_inertia[self._body] = p.inertia
-        model.body_pos[self._air], model.body_inertia[self._air] = p.air_pos, p.air_inertia
+        model.body_pos[self._air], model.body_quat[self._air] = p.air_pos, p.air_quat
+        model.body_inertia[self._air] = p.air_inertia
         model.jnt_axis[self._joint], model.jnt_range[self._joint] = p.axis, p.limits
         model.jnt_margin[self._joint], model.jnt_stiffness[self._joint] = p.margin, p.spring
         model.jnt_stiffnesspoly[self._joint, 0], model.qpos_spring[self._qpos] = p.spring_quadratic, p.spring_rest

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, slides
 from robots.robot import Robot
@@ -37,8 +38,12 @@ UNLIMITED_ANGLE = 4 * np.pi
 """Range [rad] given to a joint without limits: two turns either way, never reached in an episode."""
 UNLIMITED_LENGTH = 10.0
 """Range given to a coupling without limits: joint angles times coefficients stay well below."""
-LARGE_TO_AIR = 1.5
-"""A body is dragged on by itself if its box is so many times as large as its link's."""
+SMALL_TO_AIR = 0.02
+"""Area [m^2] that is nothing to the air: 3 mN at half a metre per second."""
+CUBE = Rotation.create_group("O")
+"""Turns that leave a cube as it was."""
+EQUAL_MOMENTS, TELLING_MOMENTS = 1e-6, 1e-7
+"""Principal moments within so much of each other, relatively, get a difference of so much along their body's own axes."""
 BASE_SITE = "robot0_right_center"
 
 
@@ -75,8 +80,8 @@ class Joint:
         stiffness: position gain of its actuator [N m/rad], 0 without one.
         force_limit: largest actuator torque [N m].
         target_open, target_closed: merged position targets [rad] at closing command -1 and +1.
-        air_edge: [m] of the cube that the air drags on besides the link itself, 0 for none; see ``_air``.
-        air_position: its centre (3,) [m], world, or None.
+        air_edges: (3,) [m] of the box that the air drags on besides the link itself, 0 for none; see ``_air``.
+        air_position, air_rotation: its centre (3,) [m] and its axes as a rotation vector (3,) [rad], world, or None.
         locked: True if the link is there but its joint is held still (inner knuckles of an equivalent linkage).
     """
 
@@ -96,8 +101,9 @@ class Joint:
     force_limit: float = 0.0
     target_open: float = 0.0
     target_closed: float = 0.0
-    air_edge: float = 0.0
+    air_edges: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)
     air_position: np.ndarray | None = None
+    air_rotation: np.ndarray | None = None
     locked: bool = False
 
 
@@ -351,6 +357,7 @@ def _open_chains(
             joints[driven], damping=linkage.damping, spring=linkage.stiffness, spring_quadratic=linkage.quadratic,
             spring_rest=linkage.rest,
         )  # fmt: skip
+        joints[pad] = replace(joints[pad], damping=linkage.pad_damping)
         wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)  # nothing may push against the lock
         joints[knuckle] = replace(joints[knuckle], locked=True, limits=wide)
         unlimited = (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
@@ -371,24 +378,61 @@ def _carriers(model: mujoco.MjModel, slot_of: dict[int, int], welded: dict[int, 
     return carrier
 
 
-def _inertia_box(mass: float, moments: np.ndarray) -> np.ndarray:
-    """Edges (3,) [m] of the box of uniform density with a body's mass and principal moments: what MuJoCo's air drags on."""
-    return np.sqrt(np.maximum(moments.sum() - 2.0 * moments, 0.0) * 6.0 / mass)
+def _drag_areas(mass: float, moments: np.ndarray) -> np.ndarray:
+    """Faces (3,) [m^2] that a body shows MuJoCo's air along its principal axes: those of the box of its mass and moments."""
+    edges = np.sqrt(np.maximum(moments.sum() - 2.0 * moments, 0.0) * 6.0 / mass)
+    return edges[[1, 2, 0]] * edges[[2, 0, 1]]
+
+
+def _seen_along(axes: np.ndarray, own: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Areas (3,) along the columns of ``axes`` of a body with ``areas`` along the columns of ``own``."""
+    return (axes.T @ own) ** 2 @ areas
 
 
 def _air(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int], joints: list[Joint | None]) -> None:
-    """Keep the air's drag on bodies whose box is larger than that of the link they are lumped into; edits ``joints``.
+    """Where a link's bodies show the air more than their lump does, keep a box that shows it the rest; edits ``joints``.
 
     robosuite gives some helper bodies a moment of 1 kg m^2 per kg: to the air they are cubes of 2.4 m, to the link nothing.
     """
-    for body in range(1, model.nbody):
-        joint = joints[carrier[body]]
-        if model.body_weldid[body] == 0 or joint is None or model.body_mass[body] <= 0.0:
+    for slot, joint in enumerate(joints):
+        bodies = _bodies_of(model, carrier, slot)
+        if joint is None or not bodies:
             continue
-        edge = float(_inertia_box(model.body_mass[body], model.body_inertia[body]).mean())
-        lump = _inertia_box(joint.screw.mass, np.linalg.eigvalsh(joint.screw.inertia)).max()
-        if edge > max(LARGE_TO_AIR * lump, joint.air_edge):
-            joints[carrier[body]] = replace(joint, air_edge=edge, air_position=np.array(data.xipos[body]))
+        own = [data.ximat[body].reshape(3, 3) for body in bodies]
+        faces = [_drag_areas(model.body_mass[body], model.body_inertia[body]) for body in bodies]
+        weights = np.mean(faces, axis=1)
+        axes = own[int(np.argmax(weights))]
+        moments, lump = np.linalg.eigh(joint.screw.inertia)
+        areas = np.sum([_seen_along(axes, o, f) for o, f in zip(own, faces, strict=True)], axis=0)
+        areas -= _seen_along(axes, lump, _drag_areas(joint.screw.mass, moments))
+        if areas.max() < SMALL_TO_AIR:
+            continue
+        areas = np.maximum(areas, 0.1 * areas.max())  # no needle: its length would drag on turning
+        edges = np.sqrt(areas.prod()) / areas
+        turned = Rotation.from_matrix(axes).reduce(right=CUBE)
+        joints[slot] = replace(
+            joint, air_edges=np.abs(turned.as_matrix().T @ axes).round() @ edges, air_rotation=turned.as_rotvec(),
+            air_position=weights @ data.xipos[bodies] / weights.sum(),
+        )  # fmt: skip
+
+
+def _bodies_of(model: mujoco.MjModel, carrier: dict[int, int], slot: int) -> list[int]:
+    """Moving bodies with mass that are lumped into a slot's link."""
+    return [body for body, place in carrier.items() if place == slot and model.body_weldid[body] and model.body_mass[body] > 0.0]
+
+
+def _keep_axes(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int], joints: list[Joint | None]) -> None:
+    """Let inertias with equal moments tell their axes, along which MuJoCo's air drags on each by itself; edits ``joints``."""
+    for slot, joint in enumerate(joints):
+        bodies = _bodies_of(model, carrier, slot)
+        if joint is None or not bodies:
+            continue
+        moments = np.linalg.eigvalsh(joint.screw.inertia)
+        if np.diff(moments).min() > EQUAL_MOMENTS * moments[2]:
+            continue
+        axes = data.ximat[max(bodies, key=lambda body: model.body_mass[body])].reshape(3, 3)
+        telling = TELLING_MOMENTS * moments[2] * axes @ np.diag([-1.0, 0.0, 1.0]) @ axes.T
+        joints[slot] = replace(joint, screw=replace(joint.screw, inertia=joint.screw.inertia + telling))
 
 
 @dataclass(frozen=True)
@@ -579,6 +623,7 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
     carrier = _carriers(model, slot_of, welded, arm_size - 1)
     shapes, meshes = _shapes(model, data, carrier)
     _air(model, data, carrier, joints)
+    _keep_axes(model, data, carrier, joints)
     site = model.site(BASE_SITE)
     if not np.allclose(data.site_xmat[site.id], np.eye(3).ravel(), atol=1e-4):
         raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")

@@ -8,6 +8,7 @@ import copy
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -38,6 +39,8 @@ NEARLY, PARTS, WAITING = 0.9, 5, 10
 PAD_FINGERS = ("FF", "TH", "RF")
 """Fingers whose pads are compared, where the robot has them."""
 START_SEED = 0
+CHANGES = 200
+"""Changes of robot over which F's median time is taken."""
 
 
 @dataclass(frozen=True)
@@ -330,6 +333,17 @@ def drift(mine: Side, own: Side) -> float:
         places = [side.plant.data.site_xpos[side.site] for side in sides]
         worst = max(worst, float(np.linalg.norm(places[0] - places[1])))
     return worst
+
+
+def become_milliseconds(merged: MergedRobot) -> float:
+    """Median time [ms] of F in place, over changes from robot to robot in turn."""
+    model, data = merged.new()
+    betas, took = merged.space.betas, []
+    for turn in range(CHANGES):
+        started = perf_counter()
+        merged.become(betas[turn % len(betas)], model, data)
+        took.append(1e3 * (perf_counter() - started))
+    return float(np.median(took))
 
 
 # ---- the merged tree, drawn ------------------------------------------------------------------------------------------
