@@ -153,7 +153,7 @@ def test_resuming_with_another_config_names_the_difference(capsys, learner, aske
     from tasks import TASKS
     from toolkit.pipeline import PRESETS, Job, transfer_config
 
-    started = transfer_config("quick", "steiner", "l1", 0, None)
+    started = transfer_config("quick", "steiner", "l1", 0)
     goals = tuple(ROBOTS[name] for name in TARGETS)
     job = Job(ROBOTS["adroit"], goals, TASKS[TASK], started, PRESETS["quick"]["evaluation_episodes"])
     Run.create("started", job.config())

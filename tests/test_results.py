@@ -13,7 +13,7 @@ from toolkit.runs import Run
 
 def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_foam_brick"):
     """A run folder as a transfer leaves it, with two paths to the targets left and right."""
-    run = Run.create(folder / name, {"targets": ["left", "right"], "transfer": {"threshold": 0.66}})
+    run = Run.create(folder / name, {"targets": ["left", "right"], "transfer": {"threshold": 0.66, "xi": 0.03}})
     evaluation = {"episodes": 200, "successes": successes, "success_rate": successes / 200, "ci95": [0.5, 0.97]}
     paths = {"path 1": epochs, "path 2": 7}
     for path in paths:
@@ -24,7 +24,7 @@ def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_fo
         "train_iterations": {path: 3 for path in paths}, "sim_epochs": paths, "check_episodes": {path: 16 for path in paths},
         "routes": {"path 1": ["hand", "left"], "path 2": ["hand", "right"]},
         "totals": {"train_iterations": 6, "sim_epochs": epochs + 7, "check_episodes": 32, "diverged": 0},
-        "wall_s": 90.0, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "task": task,
+        "wall_s": 90.0, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "path": "straight", "task": task,
     })  # fmt: skip
     return run.path
 

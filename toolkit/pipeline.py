@@ -75,20 +75,17 @@ class Job:
         }  # fmt: skip
 
 
-def transfer_config(
-    preset: str, kind: Method, metric: Metric, seed: int, step: str | None = None, path: str | None = None
-) -> TransferConfig:
-    """The schedule of a preset; ``step`` and ``path`` override the preset's.
+def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **overrides: Any) -> TransferConfig:
+    """The schedule of a preset; fields of TransferConfig that are given and not None override the preset's.
 
     Raises:
         ToolkitError: an unknown preset.
     """
     if preset not in PRESETS:
         raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
-    overrides = PRESETS[preset]
-    values = overrides["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
-    values |= {name: value for name, value in (("step", step), ("path", path)) if value is not None}
-    return TransferConfig(npg=NpgConfig(**overrides["npg"]), **values)
+    values = PRESETS[preset]["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
+    values |= {name: value for name, value in overrides.items() if value is not None}
+    return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 
 class Lab:

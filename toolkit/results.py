@@ -52,7 +52,10 @@ class Result:
         report = self.report
         kind = {"steiner": "tree", "geometric-median": "one meta robot"}.get(report["kind"], report["kind"])
         metric = "" if report["kind"] in ("independent", "direct") else f", {report['metric'].upper()}"
-        return f"{kind}{metric}, {report['step']} step"
+        schedule = self.config["transfer"]
+        length = f" of {schedule['xi']:g}" if report["step"] == "fixed" else ""
+        bent = ", optimised path" if report["path"] == "optimised" else ""
+        return f"{kind}{metric}, {report['step']} step{length}{bent}"
 
 
 def read_result(folder: Path) -> Result | None:

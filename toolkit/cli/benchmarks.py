@@ -21,33 +21,52 @@ class Entry:
     """A run of a suite: the options of `meta-evolve transfer` that tell it from the others."""
 
     kind: Method = "steiner"
+    metric: Metric = "l1"
     step: Literal["adaptive", "fixed"] = "adaptive"
+    path: Literal["straight", "optimised"] = "straight"
+    xi: float | None = None
+    budget: int | None = None
     seed: int = 0
     task: str = TASK
     targets: tuple[str, ...] = TARGETS
+    episodes: int = 40
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
-        from toolkit.pipeline import PRESETS, Job, transfer_config
+        from toolkit.pipeline import Job, transfer_config
 
-        config = transfer_config(preset, self.kind, "l1", self.seed, self.step)
+        overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget}
+        config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)
-        return Job(find_robot("adroit"), robots, find_task(self.task), config, PRESETS[preset]["evaluation_episodes"])
+        return Job(find_robot("adroit"), robots, find_task(self.task), config, self.episodes)
 
 
 CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
+COARSE = 0.3
+"""Fixed step: the paper's xi of 0.03 takes a thousand phases here, each of 16 checking episodes or more."""
 SUITES: dict[str, dict[str, Entry]] = {
     "real-robots": {
-        "tree-0": Entry(),
+        # What is shipped, and judged over 200 seeds.
+        "tree-0": Entry(episodes=200),
+        "can-tree-0": Entry(task=CAN, targets=JAWS, episodes=200),
         "tree-1": Entry(seed=1),
         "independent-0": Entry(kind="independent"),
         "direct-0": Entry(kind="direct"),
-        "wide-tree-0": Entry(task=WIDE),
-        "wide-independent-0": Entry(task=WIDE, kind="independent"),
-        "wide-direct-0": Entry(task=WIDE, kind="direct"),
-        "can-tree-0": Entry(task=CAN, targets=JAWS),
-        "fixed-tree-0": Entry(step="fixed"),
-        "fixed-independent-0": Entry(step="fixed", kind="independent"),
+        # A start within 5 cm and 30 degrees: here the policy has to learn on the way.
+        "wide-tree-0": Entry(task=WIDE, budget=1_500, episodes=100),
+        "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
+        "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
+        # The other trees and ways.
+        "tree-l2-0": Entry(metric="l2"),
+        "median-0": Entry(kind="geometric-median"),
+        "median-l2-0": Entry(kind="geometric-median", metric="l2"),
+        "independent-l2-0": Entry(kind="independent", metric="l2"),
+        "optimised-0": Entry(path="optimised", step="fixed", xi=2.0, targets=JAWS),
+        # The paper's schedule, coarser.
+        "wide-fixed-tree-0": Entry(task=WIDE, step="fixed", xi=COARSE, budget=1_500),
+        "wide-fixed-independent-0": Entry(task=WIDE, step="fixed", kind="independent", xi=COARSE, budget=1_500),
+        "paper-tree-0": Entry(step="fixed"),
+        "paper-independent-0": Entry(step="fixed", kind="independent"),
     }
 }
 """Suite -> run -> what it plays; the short ones first."""

@@ -96,8 +96,11 @@ def transfer(
     metric: Metric = "l1",
     step: Literal["adaptive", "fixed"] | None = None,
     path: Literal["straight", "optimised"] = "straight",
+    xi: float | None = None,
+    budget: int | None = None,
     seed: int = 0,
     preset: str = "quick",
+    episodes: int | None = None,
     run: Path | None = None,
     resume: bool = False,
     json: bool = False,
@@ -116,8 +119,11 @@ def transfer(
         step: adaptive (farthest robot on which the policy holds) or fixed (length xi, as in the paper).
         path: straight to the meta robot (REvolveR), or optimised: also where the expected return grows (HERD), at 72 episodes
             a step.
+        xi: length of a fixed step, and of the shortest adaptive one; default: the paper's 0.03.
+        budget: training episodes after which a path goes on to its end untrained; default: the preset's.
         seed: of everything random.
         preset: quick (minutes), full, or paper (every number from the paper's table).
+        episodes: of the final evaluation, per target, on F(beta) and on the unmodified robot; default: the preset's.
         run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with the path if it is not straight.
         resume: continue the run in that folder.
         json: print the report as one JSON object at the end.
@@ -125,10 +131,12 @@ def transfer(
     robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
     from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
-    config = transfer_config(preset, kind, metric, seed, step, path)
+    config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget)
+    if episodes is not None and episodes < 1:
+        raise ToolkitError(f"episodes is {episodes}; give at least 1")
     bent = "" if path == "straight" else f"{path}-"
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}"
-    job = Job(robot, goals, what, config, PRESETS[preset]["evaluation_episodes"])
+    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"])
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config))
         report = pipeline.play()
