@@ -57,11 +57,10 @@ class Bundle:
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """robosuite's action (n_act,) for an observation vector (n_obs,), entries in the manifest's order."""
-        sizes = list(self.policy.record.values())
         observation = np.asarray(observation)
-        if observation.shape != (sum(sizes),):
-            raise ToolkitError(f"the observation has shape {observation.shape}; this bundle takes ({sum(sizes)},)")
-        return self.policy(dict(zip(self.policy.record, np.split(observation, np.cumsum(sizes)[:-1]), strict=True)))
+        if observation.shape != (self.policy.n_in,):
+            raise ToolkitError(f"the observation has shape {observation.shape}; this bundle takes ({self.policy.n_in},)")
+        return self.policy.act(observation)
 
 
 def find_bundle(name: str | Path) -> Path:

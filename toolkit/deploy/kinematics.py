@@ -40,6 +40,21 @@ def quaternion_of(rotation: np.ndarray) -> np.ndarray:
     return out if out[0] >= 0 else -out
 
 
+def quaternions_of(vectors: np.ndarray) -> np.ndarray:
+    """Unit quaternions (k, 4), w first, of rotation vectors (k, 3) [rad]; continuous in the vector."""
+    half = 0.5 * np.sqrt((vectors**2).sum(axis=1))
+    return np.column_stack([np.cos(half), 0.5 * np.sinc(half / np.pi)[:, None] * vectors])
+
+
+def sandwich(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Matrix (4, 4) that takes a quaternion q, w first, to the product left q right."""
+    columns = np.empty((4, 4))
+    for row, unit in zip(columns, np.eye(4), strict=True):
+        mujoco.mju_mulQuat(row, left, unit)
+        mujoco.mju_mulQuat(row, row.copy(), right)
+    return columns.T
+
+
 def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix (3, 3) of a unit quaternion (4,), w first."""
     out = np.empty(9)
@@ -65,6 +80,7 @@ class Kinematics:
         self.data = mujoco.MjData(model)
         self._arm, self._fingers = self._addresses(joints), self._addresses(fingers)
         self.start_rotation = np.array(start_rotation)
+        self._coordinates: np.ndarray | None = None
         try:
             self._site, flange = model.site("grasp").id, model.body(flange).id
         except KeyError as error:
@@ -93,6 +109,7 @@ class Kinematics:
         """Set arm (n,) and finger (m,) angles [rad], in the manifest's order."""
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, fingers
         mujoco.mj_kinematics(self.model, self.data)
+        self._coordinates = None
 
     @property
     def position(self) -> np.ndarray:
@@ -106,7 +123,9 @@ class Kinematics:
 
     def coordinates(self) -> np.ndarray:
         """(6,) origin [m] of the grasp frame, and rotation vector [rad] from the start rotation."""
-        return np.append(self.position, vector_of(self.rotation @ self.start_rotation.T))
+        if self._coordinates is None:
+            self._coordinates = np.concatenate([self.position, vector_of(self.rotation @ self.start_rotation.T)])
+        return self._coordinates.copy()
 
     def lowest(self) -> float:
         """Height [m] of the lowest point of the shapes that hang on the flange."""
@@ -114,22 +133,29 @@ class Kinematics:
 
 
 class _Extent:
-    """Lowest point of boxes, capsules, cylinders, spheres and ellipsoids, all at once."""
+    """Lowest point of boxes, capsules, cylinders, spheres and ellipsoids, all at once.
+
+    Each reaches |R z| . (half size along its axes) below its centre; balls and round ends add a radius, rims a share of one.
+    """
 
     def __init__(self, model: mujoco.MjModel, geoms: np.ndarray) -> None:
         kinds = mujoco.mjtGeom
         self._geoms = geoms
         size, kind = model.geom_size[geoms], model.geom_type[geoms]
-        self._box = np.where(((kind == kinds.mjGEOM_BOX))[:, None], size, 0.0)
-        self._ellipsoid = np.where((kind == kinds.mjGEOM_ELLIPSOID)[:, None], size, 0.0)
+        long = (kind == kinds.mjGEOM_CAPSULE) | (kind == kinds.mjGEOM_CYLINDER)
+        self._half = np.where((kind == kinds.mjGEOM_BOX)[:, None], size, 0.0)
+        self._half[long, 2] = size[long, 1]
         self._ball = np.where((kind == kinds.mjGEOM_SPHERE) | (kind == kinds.mjGEOM_CAPSULE), size[:, 0], 0.0)
-        self._length = np.where((kind == kinds.mjGEOM_CAPSULE) | (kind == kinds.mjGEOM_CYLINDER), size[:, 1], 0.0)
         self._rim = np.where(kind == kinds.mjGEOM_CYLINDER, size[:, 0], 0.0)
+        self._ellipsoid = np.where((kind == kinds.mjGEOM_ELLIPSOID)[:, None], size, 0.0)
 
     def lowest(self, data: mujoco.MjData) -> float:
         down = np.abs(data.geom_xmat[self._geoms, 6:9])  # third row of each rotation: share of each axis along z
-        reach = (down * self._box).sum(1) + np.sqrt(((down * self._ellipsoid) ** 2).sum(1)) + self._ball
-        reach += down[:, 2] * self._length + np.sqrt(np.maximum(1.0 - down[:, 2] ** 2, 0.0)) * self._rim
+        reach = (down * self._half).sum(1) + self._ball
+        if self._rim.any():
+            reach += np.sqrt(np.maximum(1.0 - down[:, 2] ** 2, 0.0)) * self._rim
+        if self._ellipsoid.any():
+            reach += np.sqrt(((down * self._ellipsoid) ** 2).sum(1))
         return float((data.geom_xpos[self._geoms, 2] - reach).min())
 
 
@@ -163,6 +189,7 @@ class JointSolver:
         self.model = _arm_only(manifest, mjcf)
         self.period = 1.0 / manifest.policy_hz
         self.configuration = mink.Configuration(self.model)
+        self._site = self.model.site("grasp").id
         self._frame = mink.FrameTask("grasp", "site", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-4)
         self._posture = mink.PostureTask(self.model, cost=POSTURE_COST)
         self._posture.set_target(np.array(manifest.start.arm_rad))
@@ -192,14 +219,18 @@ class JointSolver:
 
     def pose(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and rotation (3, 3) of the grasp frame at arm angles (n,)."""
-        self.configuration.update(joints)
-        transform = self.configuration.get_transform_frame_to_world("grasp", "site")
-        return transform.translation(), transform.rotation().as_matrix()
+        self._update(joints)
+        data = self.configuration.data
+        return data.site_xpos[self._site].copy(), data.site_xmat[self._site].reshape(3, 3).copy()
+
+    def _update(self, joints: np.ndarray) -> None:
+        if not np.array_equal(self.configuration.data.qpos, joints):  # asked at the same angles several times a tick
+            self.configuration.update(joints)
 
     def solve(self, joints: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Joint speeds (n,) [rad/s] that bring the grasp frame to a pose within one period; zero where no speed is safe."""
-        self.configuration.update(joints)
-        self._frame.set_target(mink.SE3.from_rotation_and_translation(mink.SO3.from_matrix(rotation), position))
+        self._update(joints)
+        self._frame.set_target(mink.SE3(np.concatenate([quaternion_of(rotation), position])))
         try:
             return mink.solve_ik(
                 self.configuration, [self._frame, self._posture], self.period, "daqp", damping=1e-6, limits=self._limits

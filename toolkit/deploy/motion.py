@@ -10,11 +10,16 @@ from typing import Protocol
 import numpy as np
 
 from toolkit.deploy.arm import Command, Form
-from toolkit.deploy.kinematics import JointSolver, Kinematics, matrix_of, quaternion_of, rotation_of, vector_of
+from toolkit.deploy.kinematics import JointSolver, Kinematics, matrix_of, quaternion_of, quaternions_of, rotation_of, sandwich, vector_of
 from toolkit.manifest import Manifest
 
 CATCH_UP = 0.5
 """Share of the distance between wanted and commanded place that one tick makes up; 1 would ring."""
+
+
+def _within(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """np.clip in half its time, for the dozen clips of a tick."""
+    return np.minimum(np.maximum(values, low), high)
 
 
 class Track:
@@ -35,10 +40,11 @@ class Track:
         self.low, self.high, self.speed, self.acceleration = (np.array(v, float) for v in (low, high, speed, acceleration))
         self.period = period
         self.place, self.rate = np.zeros(len(self.low)), np.zeros(len(self.low))
+        self._push, self._unit = self.acceleration * period, self.acceleration * period**2
 
     def begin(self, place: np.ndarray) -> None:
         """Stand still at a place (n,), or at the nearest one within the limits."""
-        self.place, self.rate = np.clip(place, self.low, self.high), np.zeros(len(self.low))
+        self.place, self.rate = _within(place, self.low, self.high), np.zeros(len(self.low))
 
     def hold(self) -> None:
         """Stand still where it is."""
@@ -46,32 +52,31 @@ class Track:
 
     def advance(self, wanted: np.ndarray) -> None:
         """Move for one tick towards a wanted rate (n,); what is not finite counts as standing still."""
-        push = self.acceleration * self.period
         wanted = np.where(np.isfinite(wanted), wanted, 0.0)
-        highest = np.minimum(self.rate + push, np.minimum(self.speed, self._brake(self.high - self.place, self.rate)))
-        lowest = np.maximum(self.rate - push, -np.minimum(self.speed, self._brake(self.place - self.low, -self.rate)))
-        new = np.clip(np.maximum(np.minimum(wanted, highest), lowest), -self.speed, self.speed)
-        self.place = np.clip(self.place + 0.5 * self.period * (self.rate + new), self.low, self.high)
+        # Upwards and downwards in one array: a tick is made of many small calls, whose number is what it costs.
+        brake = self._brake(np.array([self.high - self.place, self.place - self.low]), np.array([self.rate, -self.rate]))
+        up, down = np.minimum(self.speed, brake)
+        highest, lowest = np.minimum(self.rate + self._push, up), np.maximum(self.rate - self._push, -down)
+        new = _within(np.maximum(np.minimum(wanted, highest), lowest), -self.speed, self.speed)
+        self.place = _within(self.place + 0.5 * self.period * (self.rate + new), self.low, self.high)
         self.rate = new
 
     def _brake(self, room: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Highest rate after the next tick from which full braking still ends within ``room`` (n,).
+        """Highest rates after the next tick from which full braking still ends within ``room``, both (..., n).
 
         With m = rate / (a T), a tick from m0 to m covers (m0 + m) / 2 and braking on from m takes n = ceil(m) ticks and
         (n - 1/2) m - n (n - 1) / 2 more, in units of a T^2; their sum is solved for m.
         """
-        unit = self.acceleration * self.period**2
-        left = room / unit - 0.5 * rate / (self.acceleration * self.period)
-        left = np.where(np.isfinite(left), left, 1e12)
-        ticks = np.maximum(1.0, np.ceil(0.5 * (np.sqrt(1.0 + 8.0 * np.maximum(left, 0.0)) - 1.0)))
+        left = np.minimum(room / self._unit - 0.5 * rate / self._push, 1e12)  # without a limit there is room for ever
+        ticks = np.maximum(1.0, np.ceil(0.5 * np.sqrt(1.0 + 8.0 * np.maximum(left, 0.0)) - 0.5))
         rising = (left + 0.5 * ticks * (ticks - 1.0)) / ticks
-        return np.where(left >= 0.0, rising, 2.0 * left) * self.acceleration * self.period
+        return np.minimum(rising, 2.0 * left) * self._push  # the second is less where braking already comes too late
 
     def waypoints(self, place: np.ndarray, rate: np.ndarray, count: int) -> np.ndarray:
         """(count, n) places, evenly spaced in time, from (place, rate) at the last tick's start to its end."""
         share = np.arange(1, count + 1)[:, None] / count
         ramp = rate + 0.5 * share * (self.rate - rate)
-        return np.clip(place + share * self.period * ramp, self.low, self.high)
+        return _within(place + share * self.period * ramp, self.low, self.high)
 
 
 class Expected:
@@ -89,7 +94,7 @@ class Expected:
 
     def step(self, delta: np.ndarray) -> np.ndarray:
         """(6,) motion [m, rad] during this tick, if ``delta`` (6,) in [-1, 1] is the action now."""
-        self._past[:, 1:] = self._past[:, :-1].copy()
+        self._past[:, 1:] = self._past[:, :-1]
         self._past[:, 0] = delta
         return self.scale * (self._impulse * self._past).sum(axis=1)
 
@@ -108,7 +113,7 @@ class Grip:
 
     def advance(self, action: float) -> None:
         """Integrate the sign of the action's last number, as robosuite does."""
-        self.command = float(np.clip(self.command + self._gripper.rate * np.sign(action), -1.0, 1.0))
+        self.command = min(1.0, max(-1.0, self.command + self._gripper.rate * float(np.sign(action))))
 
     @property
     def opening_m(self) -> float:
@@ -119,6 +124,11 @@ class Grip:
     def opening(self) -> float:
         """The gap as a share of the widest."""
         return self.opening_m / float(self._opening[0])
+
+
+def _turned(frame: np.ndarray, pair: np.ndarray) -> np.ndarray:
+    """(6,) of a linear and an angular vector (6,), each turned by a rotation (3, 3)."""
+    return (pair.reshape(2, 3) @ frame.T).ravel()
 
 
 class Motion(Protocol):
@@ -164,15 +174,13 @@ class _Base:
         box = manifest.cartesian
         self.box = Track(np.array(box.low), np.array(box.high), np.array(box.speed), np.array(box.acceleration), self.period)
         self.lead = np.array(box.lead)
-        gain = np.abs(np.array(manifest.controller.response.steady)) * self.expected.scale * manifest.policy_hz
+        self._steady = np.array(manifest.controller.response.steady)
+        gain = np.abs(self._steady) * self.expected.scale * manifest.policy_hz
         self.fastest = np.minimum(1.0, self.box.speed / gain)  # (6,) action from which the arm would exceed its Cartesian speed
         self.last = np.zeros(len(manifest.action))
         controller = manifest.controller
         self._axis = np.array(controller.base_axis) if controller.turns_with_first_joint else np.zeros(3)
-        self._start_angle = manifest.start.arm_rad[0]
-        self._base = matrix_of(np.array(manifest.robot.base_quaternion))
-        self._origin = np.array(manifest.robot.base_position_m)
-        self._start_quaternion = quaternion_of(self._base.T @ kinematics.start_rotation)
+        self._start_angle, self._frame = manifest.start.arm_rad[0], np.eye(3)
 
     def begin(self, joints: np.ndarray) -> None:
         """Start at measured arm angles (n,)."""
@@ -190,8 +198,8 @@ class _Base:
 
     def limited(self, action: np.ndarray) -> np.ndarray:
         """The action (7,) within its limits, its step from the last one, and the Cartesian speed."""
-        action = np.clip(action, np.maximum(self.low, self.last - self.step), np.minimum(self.high, self.last + self.step))
-        action[:6] = np.clip(action[:6], -self.fastest, self.fastest)
+        action = _within(action, np.maximum(self.low, self.last - self.step), np.minimum(self.high, self.last + self.step))
+        action[:6] = _within(action[:6], -self.fastest, self.fastest)
         return action
 
     def taken(self, action: np.ndarray) -> None:
@@ -201,8 +209,9 @@ class _Base:
 
     def controller_frame(self, joints: np.ndarray) -> np.ndarray:
         """Rotation (3, 3) of the controller's base frame in the task frame, at arm angles (n,)."""
-        self._turned = joints[0] - self._start_angle
-        return rotation_of(self._turned * self._axis)
+        if self._axis.any():
+            self._frame = rotation_of((joints[0] - self._start_angle) * self._axis)
+        return self._frame
 
     def command(self, form: Form, hold: bool, target: np.ndarray, rate: np.ndarray, waypoints: np.ndarray) -> Command:
         grip = 0.0 if hold else float(np.sign(self.last[6]))
@@ -223,22 +232,18 @@ class OscMotion(_Base):
         self._remember()
         action = self.limited(action)
         frame, place = self.controller_frame(joints), self.kinematics.coordinates()
-        delta = self.expected.scale * action[:6]
-        turned = np.append(frame @ delta[:3], frame @ delta[3:])
-        room = np.clip(place + turned, self.box.low, self.box.high) - place
+        turned = _turned(frame, self.expected.scale * action[:6])
+        room = _within(place + turned, self.box.low, self.box.high) - place
         # Outside the box only the way back is open: a clip there would be a jump.
         turned = np.where(np.sign(turned) == np.sign(room), np.sign(turned) * np.minimum(np.abs(turned), np.abs(room)), 0.0)
-        action[:6] = np.append(frame.T @ turned[:3], frame.T @ turned[3:]) / self.expected.scale
-        action[:6] = np.clip(action[:6], -self.fastest, self.fastest)
+        action[:6] = _turned(frame.T, turned) / self.expected.scale
+        action[:6] = _within(action[:6], -self.fastest, self.fastest)
         self.taken(action)
         return self.command("osc", False, action[:6].copy(), np.zeros(0), np.zeros((0, 0)))
 
     def coordinates(self, command: Command) -> np.ndarray:
         """See Motion: the measured ones, and what the arm is expected to add while it follows."""
-        controller, place = self.manifest.controller, self.kinematics.coordinates()
-        moved = command.target * self.expected.scale * np.array(controller.response.steady)
-        frame = rotation_of(self._turned * self._axis)
-        return place + np.append(frame @ moved[:3], frame @ moved[3:])
+        return self.kinematics.coordinates() + _turned(self._frame, command.target * self.expected.scale * self._steady)
 
     def hold(self) -> Command:
         """See Motion: no delta."""
@@ -251,6 +256,12 @@ class PoseMotion(_Base):
 
     form: Form = "pose"
 
+    def __init__(self, manifest: Manifest, kinematics: Kinematics, rate_hz: float) -> None:
+        super().__init__(manifest, kinematics, rate_hz)
+        base = np.array(manifest.robot.base_quaternion)
+        self._base, self._origin = matrix_of(base), np.array(manifest.robot.base_position_m)
+        self._from_task = sandwich(base * (1, -1, -1, -1), quaternion_of(kinematics.start_rotation))
+
     def begin(self, joints: np.ndarray) -> None:
         """See Motion."""
         super().begin(joints)
@@ -261,10 +272,8 @@ class PoseMotion(_Base):
         self._remember()
         before = self.box.place, self.box.rate
         self.move(action, joints, self.kinematics.coordinates())
-        poses = [self._pose(place) for place in self.box.waypoints(*before, self.count)]
-        rate = self.box.rate
-        twist = np.append(self._base.T @ rate[:3], self._base.T @ rate[3:])
-        return self.command("pose", False, poses[-1], twist, np.array(poses))
+        poses = self._poses(self.box.waypoints(*before, self.count))
+        return self.command("pose", False, poses[-1], _turned(self._base.T, self.box.rate), poses)
 
     def move(self, action: np.ndarray, joints: np.ndarray, measured: np.ndarray) -> None:
         """Advance the commanded coordinates, at most the lead ahead of the measured (6,)."""
@@ -272,9 +281,9 @@ class PoseMotion(_Base):
         frame = self.controller_frame(joints)
         motion = self.expected.step(action[:6])
         self.taken(action)
-        motion = np.append(frame @ motion[:3], frame @ motion[3:])
-        free = np.clip(self._free + motion, measured - self.lead, measured + self.lead)
-        self._free = np.clip(free, self.box.low, self.box.high)
+        motion = _turned(frame, motion)
+        free = _within(self._free + motion, measured - self.lead, measured + self.lead)
+        self._free = _within(free, self.box.low, self.box.high)
         self.box.advance((motion + CATCH_UP * (self._free - motion - self.box.place)) / self.period)
 
     def coordinates(self, command: Command) -> np.ndarray:
@@ -284,8 +293,8 @@ class PoseMotion(_Base):
     def hold(self) -> Command:
         """See Motion: the last commanded pose."""
         self.still()
-        pose = self._pose(self.box.place)
-        return self.command("pose", True, pose, np.zeros(6), np.repeat(pose[None], self.count, axis=0))
+        pose = self._poses(self.box.place[None])
+        return self.command("pose", True, pose[0], np.zeros(6), np.repeat(pose, self.count, axis=0))
 
     def still(self) -> None:
         """Stop the commanded coordinates where they are."""
@@ -294,13 +303,12 @@ class PoseMotion(_Base):
         self.last = np.zeros(len(self.low))
         self._free = self.box.place.copy()
 
-    def _pose(self, place: np.ndarray) -> np.ndarray:
-        """(7,) pose in the arm's base frame of grasp coordinates (6,) in the task frame."""
-        rotation = self._base.T @ rotation_of(place[3:]) @ self.kinematics.start_rotation
-        quaternion = quaternion_of(rotation)
-        if quaternion @ self._start_quaternion < 0.0:  # q and -q turn alike, but a change between them is a jump on the wire
-            quaternion = -quaternion
-        return np.append(self._base.T @ (place[:3] - self._origin), quaternion)
+    def _poses(self, places: np.ndarray) -> np.ndarray:
+        """(k, 7) poses in the arm's base frame of grasp coordinates (k, 6) in the task frame.
+
+        q and -q turn alike, but a change between them is a jump on the wire: these follow the coordinates without one.
+        """
+        return np.concatenate([(places[:, :3] - self._origin) @ self._base, quaternions_of(places[:, 3:]) @ self._from_task.T], axis=1)
 
 
 class JointMotion(PoseMotion):
@@ -331,8 +339,9 @@ class JointMotion(PoseMotion):
         self._remember()
         self._joints_before = before = self.joints.place, self.joints.rate
         position, rotation = self.solver.pose(self.joints.place)
-        reached = np.append(position, vector_of(rotation @ self.kinematics.start_rotation.T))
-        self.box.place = np.clip(np.clip(self.box.place, reached - self.lead, reached + self.lead), self.box.low, self.box.high)
+        reached = np.concatenate([position, vector_of(rotation @ self.kinematics.start_rotation.T)])
+        near = _within(self.box.place, reached - self.lead, reached + self.lead)
+        self.box.place = _within(near, self.box.low, self.box.high)
         gap = self.box.place - reached
         self.move(action, joints, self.kinematics.coordinates())
         ahead = reached + self.box.rate * self.period + CATCH_UP * gap
@@ -349,7 +358,7 @@ class JointMotion(PoseMotion):
     def coordinates(self, command: Command) -> np.ndarray:
         """See Motion: those of the commanded angles."""
         position, rotation = self.solver.pose(command.target)
-        return np.append(position, vector_of(rotation @ self.kinematics.start_rotation.T))
+        return np.concatenate([position, vector_of(rotation @ self.kinematics.start_rotation.T)])
 
     def hold(self) -> Command:
         """See Motion: the last commanded angles."""
