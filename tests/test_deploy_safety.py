@@ -212,8 +212,8 @@ class Puppet:
 
     def read(self, now, harm):
         state, rng, n = changed(self.state, stamp=now - 0.002), self.rng, len(self.state.joints)
-        spoilt = state.joints.copy()
-        spoilt[rng.integers(n)] = np.nan if harm == "nan joint" else np.inf if harm == "inf joint" else spoilt[0] + 2.0
+        spoilt, which = state.joints.copy(), rng.integers(n)
+        spoilt[which] = np.nan if harm == "nan joint" else np.inf if harm == "inf joint" else spoilt[which] + 2.0
         shift = state.object_position + rng.choice([-1, 1], 3) * 0.5
         return {
             "nan joint": lambda: changed(state, joints=spoilt), "inf joint": lambda: changed(state, joints=spoilt),
