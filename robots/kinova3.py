@@ -10,6 +10,6 @@ KINOVA3 = Robot(
     base_position=(-0.56, 0.0, 0.0),
     posture_seed=(0.0, 0.65, 0.0, 1.89, 0.0, 0.6, -1.5707963267948966),
     datasheet="robosuite 1.5.1's model of the arm (masses, inertias, limits) on its RethinkMount",
-    # Kinova's URDF of the Gen3, 7 joints (ros2_kortex).
-    joint_speeds=(1.396, 1.396, 1.396, 1.396, 1.222, 1.222, 1.222),
+    # 80 and 70 degrees/s: Kinova, ros2_kortex, kortex_description/arms/gen3/7dof/urdf/gen3_macro.xacro.
+    joint_speeds=(1.396, 1.396, 1.396, 1.396, 1.2217, 1.2217, 1.2217),
 )

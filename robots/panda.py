@@ -10,6 +10,7 @@ PANDA = Robot(
     base_position=(-0.56, 0.0, 0.0),
     posture_seed=(0.0, 0.1963495408, 0.0, -2.6179938780, 0.0, 2.9415926536, 0.7853981634),
     datasheet="robosuite 1.5.1's model of the arm (masses, inertias, limits) on its RethinkMount",
-    # Franka's published limits of the Panda.
+    # Franka: libfranka, include/franka/rate_limiting.h, kMaxJointVelocity before its allowance for lost packets; the control
+    # interface aborts faster motions.
     joint_speeds=(2.175, 2.175, 2.175, 2.175, 2.610, 2.610, 2.610),
 )

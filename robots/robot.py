@@ -23,7 +23,8 @@ class Robot:
             with; overrides what the geometry proposes. Empty for most arms.
         source_of_policy: True for a robot that experts are trained on.
         datasheet: where the arm's numbers come from.
-        joint_speeds: highest joint speeds [rad/s] of the real arm, base to flange; None: not known. robosuite has none.
+        joint_speeds: highest joint speeds [rad/s] of the real arm, base to flange, rounded down, the maker's file named beside
+            them; None: not known. robosuite has none.
     """
 
     name: str

@@ -38,6 +38,6 @@ SAWYER = Robot(
     posture_seed=(0.0, -1.18, 0.0, 2.18, 0.0, 0.57, -1.57),
     arm_friction={"right_j0": STUCK},
     datasheet="robosuite 1.5.1's model of the arm (masses, inertias, limits) on its RethinkMount",
-    # Rethink's URDF of the arm (sawyer_description).
+    # Rethink: sawyer_robot, sawyer_description/urdf/sawyer_base.urdf.xacro.
     joint_speeds=(1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
 )

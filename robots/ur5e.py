@@ -10,6 +10,6 @@ UR5E = Robot(
     base_position=(-0.56, 0.0, 0.0),
     posture_seed=(-0.470, -1.735, 2.480, -2.275, -1.590, -1.991),
     datasheet="robosuite 1.5.1's model of the arm (masses, inertias, limits) on its RethinkMount",
-    # Universal Robots' datasheet: 180 degrees/s.
+    # 180 degrees/s: Universal Robots, UR5e User Manual 5.8, as in their ur_description, config/ur5e/joint_limits.yaml.
     joint_speeds=(3.141, 3.141, 3.141, 3.141, 3.141, 3.141),
 )
