@@ -1,7 +1,7 @@
 # After the install line of README.md. `make check` is what a change must pass; .ci/run does it from nothing.
 PYTHON ?= .venv/bin/python
 
-.PHONY: check lint format test
+.PHONY: check lint format test bundles
 
 check: lint test
 
@@ -13,3 +13,12 @@ format:
 
 test:
 	$(PYTHON) -m pytest -q
+
+# The bundles that come with the package, anew from a finished run: each is exported and proven before any is replaced.
+#     make bundles RUN=logs/my-run [TARGETS="jaco iiwa"]
+TARGETS ?= jaco kinova3 iiwa
+bundles:
+	@test -n "$(RUN)" || { echo "which run? make bundles RUN=logs/my-run" >&2; exit 2; }
+	folder=$$(mktemp -d) && trap 'rm -r "$$folder"' EXIT && for target in $(TARGETS); do \
+		$(PYTHON) -m toolkit.cli export "$(RUN)" --target $$target --out "$$folder/$$target" && \
+		$(PYTHON) -m toolkit.cli verify "$$folder/$$target.zip" || exit 1; done && cp "$$folder"/*.zip toolkit/bundles/

@@ -29,7 +29,7 @@ def test_create_explains_the_run(tmp_path: Path) -> None:
 
 def test_git_is_null_outside_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "__file__", str(tmp_path / "runs.py"))
-    assert runs._git_state() is None
+    assert runs.git_state() is None
 
 
 def test_create_refuses_a_used_folder(tmp_path: Path) -> None:

@@ -5,3 +5,5 @@ natural policy gradient -> transfer -> run folder -> evaluation, recording, expo
 
 Conventions: SI units, radians, quaternions w first, transforms named by both frames, alpha and theta as words.
 """
+
+__version__ = "0.1.0"

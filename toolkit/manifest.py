@@ -413,7 +413,12 @@ class Graph:
 
 @dataclass(frozen=True)
 class Manifest:
-    """All of it; see the records."""
+    """All of it; see the records.
+
+    Attributes:
+        frames: name -> what it is.  versions: software that exported it.
+        run: the configuration of the run that trained the policy.  sha256: file -> digest.
+    """
 
     format: str
     format_version: int

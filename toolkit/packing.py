@@ -5,7 +5,6 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +52,7 @@ from toolkit.manifest import (
 )  # fmt: skip
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
-from toolkit.runs import write_atomically
+from toolkit.runs import git_state, recorded_versions, write_atomically
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
 
 GOLDEN_VECTORS, GOLDEN_TOLERANCE = 8, 1e-5
@@ -422,12 +421,11 @@ def _task_card(task: PickTask) -> TaskCard:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
-    for name in ("meta-evolve", "robosuite", "mujoco", "numpy", "onnx", "onnxruntime", "torch"):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:  # this package, run from its sources
-            found[name] = "not installed"
+    """What exported it; a checkout adds its commit to this package's version, as PEP 440's local versions do."""
+    found = {name: version or "absent" for name, version in recorded_versions().items()}
+    state = git_state()
+    if state:
+        found["meta-evolve"] += f"+{state['commit'][:12]}" + (".dirty" if state["dirty"] else "")
     return found
 
 

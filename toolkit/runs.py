@@ -24,9 +24,10 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as safetensors_bytes
 
+from toolkit import __version__
 from toolkit.errors import ToolkitError
 
-RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba")
+RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
 BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
 ABSENT = "(absent)"
 
@@ -61,8 +62,8 @@ class Run:
                 raise ToolkitError(f"run folder {path} exists; add --resume to continue it, or choose another --run")
             (path / "checkpoints").mkdir()
             write_atomically(path / "config.json", _json_bytes(config, "config"))
-            write_atomically(path / "versions.json", _json_bytes(_versions(), "versions"))
-            write_atomically(path / "git.json", _json_bytes(_git_state(), "git"))
+            write_atomically(path / "versions.json", _json_bytes(recorded_versions(), "versions"))
+            write_atomically(path / "git.json", _json_bytes(git_state(), "git"))
         except (FileExistsError, NotADirectoryError):
             raise ToolkitError(f"run folder {path} is a file or lies below one; choose another --run") from None
         except OSError as error:
@@ -323,9 +324,9 @@ def _unwritable(path: Path, error: OSError) -> ToolkitError:
     return ToolkitError(f"{path} cannot be written ({error.strerror}); free space or permissions there, or choose another --run")
 
 
-def _versions() -> dict[str, str | None]:
+def recorded_versions() -> dict[str, str | None]:
     """Versions of what determines a run's numbers; None where a package is absent. No host name, no path."""
-    versions: dict[str, str | None] = {"python": platform.python_version()}
+    versions: dict[str, str | None] = {"meta-evolve": __version__, "python": platform.python_version()}
     for package in RECORDED_PACKAGES:
         try:
             versions[package] = metadata.version(package)
@@ -334,7 +335,7 @@ def _versions() -> dict[str, str | None]:
     return versions | {"platform": f"{platform.system()} {platform.machine()}"}
 
 
-def _git_state() -> dict[str, Any] | None:
+def git_state() -> dict[str, Any] | None:
     """Commit of the checkout that this file belongs to; None when installed or when git is not there."""
 
     def git(*arguments: str) -> str:
