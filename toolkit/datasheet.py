@@ -13,10 +13,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.pick import START_ROTATION
+from toolkit.deploy.kinematics import HULL
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.manifest import Gripper, Response
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
@@ -252,13 +254,14 @@ def robot_mjcf(plant: Plant, name: str) -> str:
     """The robot on its mount beside the table, as MJCF that MuJoCo alone loads, in the task frame.
 
     Frames, joints, limits and inertias are the simulated robot's own. Its meshes are replaced by the smaller of the
-    enclosing box and capsule, so a shape never ends inside the real one. Couplings of finger joints and actuators are
-    left out: the file serves kinematics and distances.
+    enclosing box and capsule, so a shape never ends inside the real one; those of the gripper are there as convex hulls, too,
+    which touch nothing and tell how high it hangs over the table. Couplings of finger joints and actuators are left out:
+    the file serves kinematics and distances.
     """
     model = plant.model
     root = ET.Element("mujoco", model=name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="false", inertiafromgeom="false", balanceinertia="false")
-    world = ET.SubElement(root, "worldbody")
+    assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     table = next(g for g in range(model.ngeom) if model.geom(g).name == "table_collision")
     _shape(world, "table", model.geom_type[table], model.geom_size[table], plant.data.geom_xpos[table], np.array([1.0, 0, 0, 0]))
     effort = {int(model.actuator_trnid[a, 0]): model.actuator_ctrlrange[a] for a in range(model.nu)}
@@ -288,6 +291,8 @@ def robot_mjcf(plant: Plant, name: str) -> str:
             ET.SubElement(element, "joint", attributes)
         for geom in (g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.geom_group[g] == 0):
             _enclose(element, model, geom)
+            if model.body(body).name.startswith(GRIPPER_PREFIX) and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+                _hull(assets, element, model, geom)
         for site in (s for s in range(model.nsite) if model.site_bodyid[s] == body and model.site(s).name == GRIP_SITE):
             ET.SubElement(element, "site", name="grasp", pos=_text(model.site_pos[site]), quat=_text(model.site_quat[site]))
     ET.indent(root)
@@ -306,14 +311,31 @@ def _shape(parent: ET.Element, name: str, kind: int, size: np.ndarray, position:
     ET.SubElement(parent, "geom", name=name, type=word, size=_text(size[:count]), pos=_text(position), quat=_text(quaternion))
 
 
+def _vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Vertices (n, 3) [m] of a geom's mesh in its frame."""
+    mesh = int(model.geom_dataid[geom])
+    start = model.mesh_vertadr[mesh]
+    return np.asarray(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], float)
+
+
+def _hull(assets: ET.Element, parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:
+    name, points = plain_name(model.geom(geom).name) + HULL, _vertices(model, geom)
+    try:
+        points = points[ConvexHull(points).vertices]
+    except QhullError:
+        pass  # flat: all of its vertices, then
+    text = " ".join(f"{v:.7f}" for v in points.ravel())  # to 0.05 um
+    ET.SubElement(assets, "mesh", name=name, vertex=text, inertia="shell")
+    ET.SubElement(parent, "geom", name=name, type="mesh", mesh=name, pos=_text(model.geom_pos[geom]), quat=_text(model.geom_quat[geom]),
+                  contype="0", conaffinity="0", group="3")  # fmt: skip
+
+
 def _enclose(parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:
     name, kind = plain_name(model.geom(geom).name), int(model.geom_type[geom])
     if kind in _KINDS:
         _shape(parent, name, kind, model.geom_size[geom], model.geom_pos[geom], model.geom_quat[geom])
         return
-    mesh = int(model.geom_dataid[geom])
-    start = model.mesh_vertadr[mesh]
-    points = np.asarray(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], float)
+    points = _vertices(model, geom)
     centre, half = 0.5 * (points.max(axis=0) + points.min(axis=0)), 0.5 * np.ptp(points, axis=0)
     along = int(np.argmax(half))
     offset = points - centre

@@ -11,6 +11,8 @@ from toolkit.manifest import Manifest
 
 POSTURE_COST = 0.02
 """Weight of the start posture beside the grasp frame's pose: it settles the redundant joint, as robosuite's null space does."""
+HULL = " hull"
+"""Ends the name of the convex hull of a shape of the gripper, which stands for it in heights."""
 COLLISION_GAIN, COLLISION_GAP, COLLISION_SIGHT = 0.3, 0.005, 0.08
 """Share of a gap that may be closed per tick; the gap [m] that stays; the distance [m] from which pairs are watched."""
 PAIRS_WATCHED = 16
@@ -89,8 +91,7 @@ class Kinematics:
         for body in range(flange + 1, model.nbody):
             if model.body_parentid[body] in hung:
                 hung.add(body)
-        self._hung = np.array([g for g in range(model.ngeom) if model.geom_bodyid[g] in hung])
-        self._extent = _Extent(model, self._hung)
+        self._extent = _Extent(model, [g for g in range(model.ngeom) if model.geom_bodyid[g] in hung])
 
     @classmethod
     def of(cls, manifest: Manifest, mjcf: str) -> "Kinematics":
@@ -128,19 +129,26 @@ class Kinematics:
         return self._coordinates.copy()
 
     def lowest(self) -> float:
-        """Height [m] of the lowest point of the shapes that hang on the flange."""
+        """Height [m] of the lowest point of what hangs on the flange."""
         return self._extent.lowest(self.data)
 
 
 class _Extent:
-    """Lowest point of boxes, capsules, cylinders, spheres and ellipsoids, all at once.
+    """Lowest point of hulls, boxes, capsules, cylinders, spheres and ellipsoids, all at once.
 
-    Each reaches |R z| . (half size along its axes) below its centre; balls and round ends add a radius, rims a share of one.
+    A hull's lowest point is a vertex. The others reach |R z| . (half size along their axes) below their centres; balls and round
+    ends add a radius, rims a share of one.
     """
 
-    def __init__(self, model: mujoco.MjModel, geoms: np.ndarray) -> None:
+    def __init__(self, model: mujoco.MjModel, geoms: list[int]) -> None:
         kinds = mujoco.mjtGeom
-        self._geoms = geoms
+        hulls = [g for g in geoms if model.geom_type[g] == kinds.mjGEOM_MESH]
+        named = {model.geom(g).name.removesuffix(HULL) for g in hulls}
+        starts, counts = (getattr(model, key)[model.geom_dataid[hulls]] for key in ("mesh_vertadr", "mesh_vertnum"))
+        rows = [model.mesh_vert[start : start + count] for start, count in zip(starts, counts, strict=True)]
+        self._points = np.array([point for vertices in rows for point in vertices], float).reshape(-1, 3)
+        self._of = np.repeat(hulls, counts)
+        self._geoms = geoms = np.array([g for g in geoms if g not in hulls and model.geom(g).name not in named], int)
         size, kind = model.geom_size[geoms], model.geom_type[geoms]
         long = (kind == kinds.mjGEOM_CAPSULE) | (kind == kinds.mjGEOM_CYLINDER)
         self._half = np.where((kind == kinds.mjGEOM_BOX)[:, None], size, 0.0)
@@ -150,13 +158,15 @@ class _Extent:
         self._ellipsoid = np.where((kind == kinds.mjGEOM_ELLIPSOID)[:, None], size, 0.0)
 
     def lowest(self, data: mujoco.MjData) -> float:
-        down = np.abs(data.geom_xmat[self._geoms, 6:9])  # third row of each rotation: share of each axis along z
+        rows, heights = data.geom_xmat[:, 6:9], data.geom_xpos[:, 2]  # third row of a rotation: share of each axis along z
+        lowest = float((heights[self._of] + (rows[self._of] * self._points).sum(1)).min(initial=np.inf))
+        down = np.abs(rows[self._geoms])
         reach = (down * self._half).sum(1) + self._ball
         if self._rim.any():
             reach += np.sqrt(np.maximum(1.0 - down[:, 2] ** 2, 0.0)) * self._rim
         if self._ellipsoid.any():
             reach += np.sqrt(((down * self._ellipsoid) ** 2).sum(1))
-        return float((data.geom_xpos[self._geoms, 2] - reach).min())
+        return min(lowest, float((heights[self._geoms] - reach).min(initial=np.inf)))
 
 
 def load_mjcf(mjcf: str) -> mujoco.MjModel:
