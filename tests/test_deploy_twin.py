@@ -1,5 +1,6 @@
 """The runtime against the twin: through a socket, in an interpreter without torch or robosuite, and within its time."""
 
+import itertools
 import json
 import re
 import subprocess
@@ -16,7 +17,7 @@ from toolkit.bundle import load_bundle
 from toolkit.deploy import wire
 from toolkit.deploy.arm import Command, State
 from toolkit.deploy.drivers.sim import SimDriver
-from toolkit.deploy.runtime import Runtime, TickLog, play, wilson_interval
+from toolkit.deploy.runtime import Runtime, TickLog, play, rehearse, wilson_interval
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation
 from toolkit.twin import WATCHDOG, Twin
@@ -187,50 +188,47 @@ def test_a_twin_by_the_clock_follows_it_and_holds_when_commands_cease(twin, monk
 # -- time and memory ---------------------------------------------------------------------------------------------------
 
 
-def replayed(bundle, form):
-    """A runtime, and the states of the recorded episode over and over."""
-    g, m = bundle.golden, bundle.manifest
-    joints = tuple(joint.name for joint in m.joints)
-    from toolkit.deploy.arm import ArmInfo
+TICK, REFERENCE = 2.0, 0.45
+"""[ms] that 99 of 100 ticks may take on a machine on which the reference takes as long as it did where docs/deploy.md was measured."""
 
-    runtime = Runtime(bundle, ArmInfo(m.robot.name, joints, m.gripper.joints, ("osc", "pose", "joint"), 500.0), form)
-    rows = list(zip(g["episode_joints"], g["episode_object_position"], g["episode_object_quaternion"], g["episode_fingers"], strict=True))
-    number = 0
-    while True:
-        for row, (arm, item, quaternion, fingers) in enumerate(rows[:20]):
-            now = 0.05 * number
-            state = State(now, arm, item, quaternion, g["episode_goal"], fingers)
-            if row == 0:
-                assert runtime.begin(state, now) is None
-            yield runtime, state, now
-            number += 1
+
+def reference():
+    """[ms of this thread] for what a tick mostly consists of: small calls into NumPy, and no more."""
+    began, x = time.thread_time(), np.ones(7)
+    for _ in range(150):
+        x = np.minimum(x * 1.0, 2.0)
+    return 1e3 * (time.thread_time() - began)
 
 
 @pytest.mark.parametrize("form", ["osc", "pose", "joint"])
 def test_a_tick_is_short(bundle, form):
-    """A tick takes a small part of the 50 ms that it has, even on a machine that does much else; docs/deploy.md has figures."""
-    ticks, spent = replayed(bundle, form), []
-    for _ in range(200):
-        runtime, state, now = next(ticks)
-        began = time.thread_time()
-        tick = runtime.tick(state, now)
-        spent.append(1e3 * (time.thread_time() - began))
-        assert tick.fault is None
-    p50, p99 = np.percentile(spent[50:], [50, 99])
-    assert p50 < 6.0, f"{form}: {p50:.2f} ms, 99 %: {p99:.2f} ms"
+    """99 of 100 ticks take less than 2 ms of one core, of the 50 ms that they have. A busy machine disturbs: the best of ten
+    hundreds counts, and a slower one has as much more time as the reference takes there. `meta-evolve bench tick` measures."""
+    ticks, hundreds = rehearse(bundle, form), []
+    for _ in range(10):
+        spent, speed = [], []
+        for tick in itertools.islice(ticks, 100):
+            began = time.thread_time()
+            done = tick()
+            spent.append(1e3 * (time.thread_time() - began))
+            speed.append(reference())
+            assert done.fault is None
+        hundreds.append((np.percentile(spent, 99) * min(1.0, REFERENCE / np.median(speed)), np.median(spent), np.median(speed)))
+    p99, p50, speed = min(hundreds)
+    assert p99 < TICK, f"{form}: 99 %: {p99:.2f} ms, half: {p50:.2f} ms, reference {speed:.2f} ms"
 
 
 @pytest.mark.parametrize("form", ["osc", "joint"])
 def test_ticks_leave_nothing_behind(bundle, form, tmp_path):
     """An hour has 72 000 ticks; a thousand of them with their log may not keep more than a few kB."""
-    ticks, log = replayed(bundle, form), TickLog(tmp_path / "log.jsonl", {})
+    ticks, log = rehearse(bundle, form), TickLog(tmp_path / "log.jsonl", {})
+    state = State(0.0, np.zeros(7), np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3))
 
     def some(count):
-        for i in range(count):
-            runtime, state, now = next(ticks)
-            tick = runtime.tick(state, now)
-            tick.times |= {"read": 0.0, "send": 0.0}
-            log.tick(0, i, state, tick, tick.command, False)
+        for i, tick in enumerate(itertools.islice(ticks, count)):
+            done = tick()
+            done.times |= {"read": 0.0, "send": 0.0}
+            log.tick(0, i, state, done, done.command, False)
 
     some(200)
     tracemalloc.start()

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -323,3 +323,42 @@ def bench_metric(
            for m in found.metrics])  # fmt: skip
     print(f"Mean success of the untrained expert on {robots} robots: {found.success:.0%}; "
           f"weights from {min(found.weights):.2g} to {max(found.weights):.2g} of their mean.")  # fmt: skip
+
+
+@bench.command(name="tick")
+def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: int = 2000, json: bool = False) -> None:
+    """Time the runtime's tick on this machine, without an arm: observation, policy, safety, command, in each form of command.
+
+    Run it on the robot PC, with what else runs there. A tick must stay well within the policy's period, 50 ms.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle, whose recorded episode is replayed.
+        ticks: of each form.
+        json: print one JSON object.
+    """
+    if ticks < 100:
+        raise ToolkitError(f"ticks is {ticks}; give at least 100, of which one in a hundred is the 99th percentile")
+    import os
+
+    import numpy as np
+
+    from toolkit.bundle import load_bundle
+    from toolkit.deploy.arm import FORMS
+    from toolkit.deploy.runtime import time_ticks
+
+    loaded, found = load_bundle(bundle), {}
+    with Progress("ticks", quiet=json) as progress:
+        for form in FORMS:
+            progress.show(form, f"{ticks} ticks", len(found), len(FORMS))
+            spent = time_ticks(loaded, form, ticks)
+            whole = spent.sum(axis=1)
+            names = ("observe_ms", "policy_ms", "command_ms", "p50_ms", "p99_ms", "max_ms")
+            numbers = [*np.median(spent, axis=0), *np.percentile(whole, [50, 99, 100])]
+            found[form] = dict(zip(names, map(float, numbers), strict=True))
+    load = os.getloadavg()[0]
+    if json:
+        emit({"bundle": loaded.manifest.robot.name, "ticks": ticks, "load": load, "forms": found}, True, "")
+        return
+    table(f"A tick of {loaded.manifest.robot.name}: medians of its parts and the whole, in ms; load {load:.1f}",
+          ["form", "observe", "policy", "command", "half below", "99 % below", "longest"],
+          [[form, *(f"{value:.2f}" for value in row.values())] for form, row in found.items()])  # fmt: skip

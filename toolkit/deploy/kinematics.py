@@ -142,7 +142,7 @@ class _Extent:
 
     def __init__(self, model: mujoco.MjModel, geoms: list[int]) -> None:
         kinds = mujoco.mjtGeom
-        hulls = [g for g in geoms if model.geom_type[g] == kinds.mjGEOM_MESH]
+        hulls = np.array([g for g in geoms if model.geom_type[g] == kinds.mjGEOM_MESH], int)
         named = {model.geom(g).name.removesuffix(HULL) for g in hulls}
         starts, counts = (getattr(model, key)[model.geom_dataid[hulls]] for key in ("mesh_vertadr", "mesh_vertnum"))
         rows = [model.mesh_vert[start : start + count] for start, count in zip(starts, counts, strict=True)]

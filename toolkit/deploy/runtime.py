@@ -3,10 +3,11 @@
     state -> checks -> observation -> checks -> policy -> checks -> command within limits -> checks -> driver
 """
 
+import itertools
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TextIO
@@ -14,7 +15,7 @@ from typing import Any, Literal, TextIO
 import numpy as np
 
 from toolkit.bundle import Bundle
-from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State, check_fit
+from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
 from toolkit.deploy.observer import Observer
@@ -338,3 +339,31 @@ def replay_golden(bundle: Bundle) -> dict[str, float]:
         "observation_max_abs_error": float(np.abs(np.array(seen) - golden["episode_observations"]).max()),
         "action_max_abs_error": float(np.abs(np.array(acted) - golden["episode_actions"]).max()),
     }
+
+
+REHEARSED_TICKS, REHEARSED_HZ = 20, 500.0
+"""Ticks of the recorded episode that are replayed, its first second; the rate of the arm's waypoints, the highest of the drivers'."""
+
+
+def rehearse(bundle: Bundle, form: Form) -> Iterator[Callable[[], Tick]]:
+    """Without end, one tick after another of a runtime that is shown the recorded episode's first second over and over."""
+    golden, manifest = bundle.golden, bundle.manifest
+    joints = tuple(joint.name for joint in manifest.joints)
+    runtime = Runtime(bundle, ArmInfo(manifest.robot.name, joints, manifest.gripper.joints, FORMS, REHEARSED_HZ), form)
+    names = ("joints", "object_position", "object_quaternion", "fingers")
+    rows = list(zip(*(golden[f"episode_{name}"][:REHEARSED_TICKS] for name in names), strict=True))
+    for number in itertools.count():
+        now, row = number * runtime.period, number % len(rows)
+        arm, position, quaternion, fingers = rows[row]
+        state = State(now, arm, position, quaternion, golden["episode_goal"], fingers)
+        if row == 0:
+            runtime.begin(state, now)
+        yield lambda state=state, now=now: runtime.tick(state, now)
+
+
+def time_ticks(bundle: Bundle, form: Form, ticks: int) -> np.ndarray:
+    """(ticks, 3) [ms] that observing, deciding and commanding took in a rehearsal, after two seconds of warming up."""
+    turns = rehearse(bundle, form)
+    for tick in itertools.islice(turns, 2 * REHEARSED_TICKS):
+        tick()
+    return 1e3 * np.array([[done.times[stage] for stage in STAGES[1:4]] for done in (tick() for tick in itertools.islice(turns, ticks))])
