@@ -148,7 +148,8 @@ def test_what_the_twin_reports_gives_the_policys_observation(twin, native, bundl
     gripper = bundle.manifest.gripper
     opening = np.interp(command, gripper.command, gripper.opening_m) / gripper.opening_m[0]
     rough = observer(State(0.0, **opened, opening=float(opening)), command)
-    assert np.abs(rough - robot.observe()).max() < 0.25
+    off = np.abs(rough - robot.observe())
+    assert off.max() < 0.08, f"entry {off.argmax()} is off by {off.max():.3f}"
 
 
 class Clock:
@@ -177,10 +178,11 @@ def test_a_twin_by_the_clock_follows_it_and_holds_when_commands_cease(twin, monk
     twin.send(osc([0, 0, 1, 0, 0, 0], 1.0))
     pass_time(0.0501)
     moved = twin.data.site_xpos[twin._site][2] - height
-    assert twin._played == 25 and 0.002 < moved < 0.03
+    assert twin._played == 25 and 0.004 < moved < 0.03, f"{moved:.4f} m in the first period"
     before = twin.native.env.robots[0].gripper["right"].current_action.copy()
     pass_time(WATCHDOG * 0.05 + 0.3)
-    assert np.abs(twin.data.qvel[twin._dofs]).max() < 0.1, "the arm stands, but for its posture's slow pull"
+    speed = np.abs(twin.data.qvel[twin._dofs]).max()
+    assert speed < 0.02, f"the arm still moves with {speed:.3f} rad/s"
     assert (twin.native.env.robots[0].gripper["right"].current_action == before).all(), "the gripper was told once"
     assert twin.behind >= 0.3
 

@@ -119,8 +119,8 @@ class Cartesian:
         speed: (6,) [m/s, rad/s].  acceleration: (6,) [m/s^2, rad/s^2].
         lead: (6,) how far a commanded pose may run ahead of the measured one.
         table_top_m: height of the table.
-        table_clearance_m: smallest height above it of the shapes that enclose the gripper; negative where they reach lower than
-            the fingers in them, which came closer to the table than the shapes are wide.
+        table_clearance_m: smallest height above it of the gripper's lowest point where a command leads; negative for a gripper that
+            brushes the table in undisturbed episodes, as MuJoCo's contacts give way a little.
     """
 
     low: Vector

@@ -72,8 +72,9 @@ CARTESIAN_SPEED_FLOOR, CARTESIAN_ACCELERATION_FLOOR = (0.1, 0.3), (1.5, 4.0)
 """[m/s, rad/s] and [m/s^2, rad/s^2]; margins as for joints."""
 BOX_MARGIN = (0.05, 0.05, 0.05, 0.2, 0.2, 0.2)
 """[m, rad] around what the grasp frame visited; downwards LOW_MARGIN."""
-LOW_MARGIN, CLEARANCE_MARGIN = 0.01, 0.005
-"""[m] below the lowest grasp frame, and below the lowest point of the gripper."""
+LOW_MARGIN, CLEARANCE_MARGIN, BRUSHING = 0.01, 0.005, 0.002
+"""[m] below the lowest grasp frame, and below the lowest point of the gripper, but then never more than halfway to the table unless
+the gripper comes so close to it that it brushes it."""
 LEAD = (0.05, 0.05, 0.05, 0.25, 0.25, 0.25)
 """[m, rad] by which a commanded pose may run ahead: as far as one full delta of robosuite's goal does."""
 STEP_MARGIN, STEP_FLOOR = 1.5, 0.2
@@ -382,11 +383,12 @@ def _cartesian(calm: Played, rate: float) -> Cartesian:
     margin = np.array(BOX_MARGIN)
     low, high = rows.min(axis=0) - margin, rows.max(axis=0) + margin
     low[2] = rows[:, 2].min() - LOW_MARGIN
+    room = min(CLEARANCE_MARGIN, 0.5 * calm.clearance) if calm.clearance > BRUSHING else CLEARANCE_MARGIN
     return Cartesian(
         low=_numbers(low), high=_numbers(high),
         speed=_numbers(np.maximum(SPEED_MARGIN * speed, np.repeat(CARTESIAN_SPEED_FLOOR, 3))),
         acceleration=_numbers(np.maximum(ACCELERATION_MARGIN * push, np.repeat(CARTESIAN_ACCELERATION_FLOOR, 3))),
-        lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(calm.clearance - CLEARANCE_MARGIN),
+        lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(calm.clearance - room),
     )  # fmt: skip
 
 

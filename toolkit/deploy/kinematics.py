@@ -145,9 +145,8 @@ class _Extent:
         hulls = np.array([g for g in geoms if model.geom_type[g] == kinds.mjGEOM_MESH], int)
         named = {model.geom(g).name.removesuffix(HULL) for g in hulls}
         starts, counts = (getattr(model, key)[model.geom_dataid[hulls]] for key in ("mesh_vertadr", "mesh_vertnum"))
-        rows = [model.mesh_vert[start : start + count] for start, count in zip(starts, counts, strict=True)]
-        self._points = np.array([point for vertices in rows for point in vertices], float).reshape(-1, 3)
-        self._of = np.repeat(hulls, counts)
+        self._points = [np.array(model.mesh_vert[start : start + count], float) for start, count in zip(starts, counts, strict=True)]
+        self._hulls, self._radius = hulls, model.geom_rbound[hulls]
         self._geoms = geoms = np.array([g for g in geoms if g not in hulls and model.geom(g).name not in named], int)
         size, kind = model.geom_size[geoms], model.geom_type[geoms]
         long = (kind == kinds.mjGEOM_CAPSULE) | (kind == kinds.mjGEOM_CYLINDER)
@@ -159,7 +158,12 @@ class _Extent:
 
     def lowest(self, data: mujoco.MjData) -> float:
         rows, heights = data.geom_xmat[:, 6:9], data.geom_xpos[:, 2]  # third row of a rotation: share of each axis along z
-        lowest = float((heights[self._of] + (rows[self._of] * self._points).sum(1)).min(initial=np.inf))
+        bounds, lowest = heights[self._hulls] - self._radius, np.inf
+        for hull in np.argsort(bounds):
+            if bounds[hull] >= lowest:  # no point of this one, nor of those that follow, hangs lower
+                break
+            geom = self._hulls[hull]
+            lowest = min(lowest, float(heights[geom] + (self._points[hull] @ rows[geom]).min()))
         down = np.abs(rows[self._geoms])
         reach = (down * self._half).sum(1) + self._ball
         if self._rim.any():

@@ -1,14 +1,26 @@
-"""A deployment's log as curves for the Rerun viewer: what each tick cost, how old its state was, when the arm was held."""
+"""A deployment's log as curves for the Rerun viewer: what each tick cost, how old its state was, what was asked of the arm.
+
+    time/own, time/arm     [ms] of the runtime's own work, and of waiting for the arm
+    state/age, state/held  [ms] age of the state; whether the arm was held, and whether the tick was late
+    arm/joints, action, object/height   [rad], the policy's action, [m]
+"""
 
 import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from toolkit.deploy.runtime import LOG_FORMAT, STAGES
 from toolkit.errors import ToolkitError
+from toolkit.recording.layout import quiet_layout
+from toolkit.recording.learning import PATH_COLOURS
+
+TIMELINE = "tick"
+ACTIONS = ("x", "y", "z", "rx", "ry", "rz", "gripper")
 
 
 def record_deployment(log: Path) -> Path:
@@ -23,15 +35,11 @@ def record_deployment(log: Path) -> Path:
     ticks = [row for row in rows if "tick" in row]
     stream = rr.RecordingStream("meta-evolve deployment")
     stream.save(out)
-    for step, row in enumerate(ticks):
-        stream.set_time("tick", sequence=step)
-        values = {f"time/{stage}_ms": row[f"{stage}_ms"] for stage in STAGES}
-        values["time/tick_ms"] = sum(row[f"{stage}_ms"] for stage in STAGES[1:4])
-        values |= {"state/held": float(row["hold"]), "state/late": float(row["late"]), "state/episode": float(row["episode"])}
-        values |= {"age/state_ms": row["age_ms"]} if "age_ms" in row else {}
-        for name, value in values.items():
-            stream.log(name, rr.Scalars(value))
-    stream.log("summary", rr.TextDocument(_summary(about, rows, ticks), media_type=rr.MediaType.MARKDOWN), static=True)
+    stream.send_blueprint(_layout())
+    for entity, (names, values) in _curves(ticks).items():
+        _draw(stream, entity, names, values)
+    text = rr.TextDocument(_summary(about, rows, ticks), media_type=rr.MediaType.MARKDOWN)
+    stream.log("summary", text, static=True)
     stream.flush()
     stream.disconnect()
     return out
@@ -49,10 +57,56 @@ def _read(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     return about, rows
 
 
+def _curves(ticks: list[dict[str, Any]]) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Entity -> names of its lines, and their values (ticks, lines); NaN where a tick has none."""
+
+    def column(key: str, size: int | None = None) -> np.ndarray:
+        values = [row.get(key) or [None] * (size or 0) if size else [row.get(key)] for row in ticks]
+        return np.array(values, float).reshape(len(ticks), size or 1)
+
+    joints = max((len(row.get("joints", ())) for row in ticks), default=0)
+    own, arm = STAGES[1:4], (STAGES[0], STAGES[4])
+    parts = {stage: column(f"{stage}_ms") for stage in STAGES}
+    times = np.hstack([parts[stage] for stage in own])
+    curves = {
+        "time/own": ((*own, "tick"), np.hstack([times, times.sum(axis=1, keepdims=True)])),
+        "time/arm": (arm, np.hstack([parts[stage] for stage in arm])),
+        "state/age": (("age",), column("age_ms")),
+        "state/held": (("held", "late"), np.hstack([column("hold"), column("late")])),
+        "action": (ACTIONS, column("action", len(ACTIONS))),
+        "object/height": (("object",), column("object", 3)[:, 2:]),
+    }
+    return curves | ({"arm/joints": (tuple(f"joint {j + 1}" for j in range(joints)), column("joints", joints))} if joints else {})
+
+
+def _draw(stream: rr.RecordingStream, entity: str, names: tuple[str, ...], values: np.ndarray) -> None:
+    colours = [PATH_COLOURS[line % len(PATH_COLOURS)] for line in range(len(names))]
+    stream.log(entity, rr.SeriesLines(names=list(names), colors=colours, widths=[1.5] * len(names)), static=True)
+    if len(values):
+        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
+        stream.send_columns(entity, [rr.TimeColumn(TIMELINE, sequence=range(len(values)))], columns)
+
+
+def _layout() -> rrb.Blueprint:
+    plot = lambda entity, name: rrb.TimeSeriesView(origin=entity, name=name, plot_legend=rrb.PlotLegend(visible=True))  # noqa: E731
+    clock = rrb.Vertical(plot("time/own", "The runtime's own time [ms]"), plot("time/arm", "Waiting for the arm [ms]"),
+                         plot("state/age", "Age of the state [ms]"), plot("state/held", "Held and late ticks"))  # fmt: skip
+    arm = rrb.Vertical(plot("action", "Action of the policy"), plot("arm/joints", "Arm angles [rad]"),
+                       plot("object/height", "Height of the object [m]"))  # fmt: skip
+    summary = rrb.TextDocumentView(origin="summary", name="What happened")
+    return quiet_layout(rrb.Horizontal(summary, clock, arm, column_shares=[1, 2, 2]), TIMELINE)
+
+
 def _summary(about: dict[str, Any], rows: list[dict[str, Any]], ticks: list[dict[str, Any]]) -> str:
     faults = Counter(row["fault"] for row in ticks if "fault" in row)
-    played = f"{len(ticks)} ticks, {about.get('form')} commands, {about.get('pace')}."
-    lines = [f"# {about.get('robot')}: {about.get('task')}", "", played, ""]
+    episodes = len({row["episode"] for row in ticks})
+    lines = [f"# {about.get('robot')}: {about.get('task')}", "",
+             f"{len(ticks)} ticks of {episodes} episodes, {about.get('form')} commands, {about.get('pace')}.", ""]  # fmt: skip
+    if ticks:
+        own = np.array([sum(row[f"{stage}_ms"] for stage in STAGES[1:4]) for row in ticks])
+        half, most = np.percentile(own, [50, 99])
+        lines += [f"A tick took {half:.2f} ms, 99 of 100 less than {most:.2f} ms, the longest {own.max():.2f} ms; "
+                  f"{sum(row['late'] for row in ticks)} were late.", ""]  # fmt: skip
     lines += [f"- held for {kind}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
     lines += [f"- episode {row['episode']} stopped: {row['stop']}" for row in rows if "stop" in row]
     return "\n".join(lines)
