@@ -286,6 +286,14 @@ def test_a_tree_of_points_as_its_targets_join(capsys, points):
     assert "Targets joining one by one" in capsys.readouterr().out
 
 
+def test_ticks_are_timed(capsys):
+    found = answer(capsys, "bench", "tick", "kinova3", "--ticks", "100")
+    assert found["bundle"] == "kinova3" and found["ticks"] == 100 and list(found["forms"]) == ["osc", "pose", "joint"]
+    for row in found["forms"].values():
+        assert 0 < row["observe_ms"] < row["p50_ms"] <= row["p99_ms"] <= row["max_ms"]
+    assert "ticks is 5" in refusal(capsys, "bench", "tick", "--ticks", "5")
+
+
 def test_trees_are_timed(capsys):
     found = answer(capsys, "bench", "tree", "--terminals", "4", "8", "--dimensions", "20", "--longer", "2")
     assert [(t["metric"], t["terminals"], t["optimal"]) for t in found["trees"]] == [
