@@ -21,6 +21,13 @@ from toolkit.recording.learning import PATH_COLOURS
 
 TIMELINE = "tick"
 ACTIONS = ("x", "y", "z", "rx", "ry", "rz", "gripper")
+TITLES = {
+    "time/own": "The runtime's own time [ms]", "time/arm": "Waiting for the arm [ms]", "state/age": "Age of the state [ms]",
+    "state/held": "Held and late ticks", "action": "Action of the policy", "arm/joints": "Arm angles [rad]",
+    "object/height": "Height of the object [m]",
+}  # fmt: skip
+PAGE = (("time/own", "time/arm", "state/age", "state/held"), ("action", "arm/joints", "object/height"))
+"""Columns of the page."""
 
 
 def record_deployment(log: Path) -> Path:
@@ -35,8 +42,9 @@ def record_deployment(log: Path) -> Path:
     ticks = [row for row in rows if "tick" in row]
     stream = rr.RecordingStream("meta-evolve deployment")
     stream.save(out)
-    stream.send_blueprint(_layout())
-    for entity, (names, values) in _curves(ticks).items():
+    curves = _curves(ticks)
+    stream.send_blueprint(_layout(curves))
+    for entity, (names, values) in curves.items():
         _draw(stream, entity, names, values)
     text = rr.TextDocument(_summary(about, rows, ticks), media_type=rr.MediaType.MARKDOWN)
     stream.log("summary", text, static=True)
@@ -87,14 +95,22 @@ def _draw(stream: rr.RecordingStream, entity: str, names: tuple[str, ...], value
         stream.send_columns(entity, [rr.TimeColumn(TIMELINE, sequence=range(len(values)))], columns)
 
 
-def _layout() -> rrb.Blueprint:
-    plot = lambda entity, name: rrb.TimeSeriesView(origin=entity, name=name, plot_legend=rrb.PlotLegend(visible=True))  # noqa: E731
-    clock = rrb.Vertical(plot("time/own", "The runtime's own time [ms]"), plot("time/arm", "Waiting for the arm [ms]"),
-                         plot("state/age", "Age of the state [ms]"), plot("state/held", "Held and late ticks"))  # fmt: skip
-    arm = rrb.Vertical(plot("action", "Action of the policy"), plot("arm/joints", "Arm angles [rad]"),
-                       plot("object/height", "Height of the object [m]"))  # fmt: skip
+def _layout(curves: dict[str, tuple[tuple[str, ...], np.ndarray]]) -> rrb.Blueprint:
+    """The whole log on every axis from the start: the viewer would show the surroundings of the first tick."""
+    views = {}
+    for entity, (_, values) in curves.items():
+        known = values[np.isfinite(values)]
+        # Rare long waits are to be seen as such, not to flatten everything else.
+        low, high = (min(0.0, known.min()), float(np.percentile(known, 99.5))) if len(known) else (0.0, 1.0)
+        room = 0.1 * max(high - low, 1e-3)
+        whole = rrb.TimeAxis(view_range=rr.TimeRange(start=rr.TimeInt(seq=0), end=rr.TimeInt(seq=max(1, len(values)))),
+                             link=rrb.components.LinkAxis.LinkToGlobal)  # fmt: skip
+        views[entity] = rrb.TimeSeriesView(
+            origin=entity, name=TITLES[entity], axis_x=whole, axis_y=rrb.ScalarAxis(range=(low - room, high + room)),
+            plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop))  # fmt: skip
+    columns = [rrb.Vertical(*(views[entity] for entity in names if entity in views)) for names in PAGE]
     summary = rrb.TextDocumentView(origin="summary", name="What happened")
-    return quiet_layout(rrb.Horizontal(summary, clock, arm, column_shares=[1, 2, 2]), TIMELINE)
+    return quiet_layout(rrb.Horizontal(summary, *columns, column_shares=[1, 2, 2]), TIMELINE)
 
 
 def _summary(about: dict[str, Any], rows: list[dict[str, Any]], ticks: list[dict[str, Any]]) -> str:
