@@ -101,10 +101,10 @@ def _layout(curves: dict[str, tuple[tuple[str, ...], np.ndarray]]) -> rrb.Bluepr
     for entity, (_, values) in curves.items():
         known = values[np.isfinite(values)]
         # Rare long waits are to be seen as such, not to flatten everything else.
-        low, high = (min(0.0, known.min()), float(np.percentile(known, 99.5))) if len(known) else (0.0, 1.0)
+        low, high = np.percentile(known, [0.0, 99.5]) if len(known) and entity != "state/held" else (0.0, 1.0)
         room = 0.1 * max(high - low, 1e-3)
-        whole = rrb.TimeAxis(view_range=rr.TimeRange(start=rr.TimeInt(seq=0), end=rr.TimeInt(seq=max(1, len(values)))),
-                             link=rrb.components.LinkAxis.LinkToGlobal)  # fmt: skip
+        first, last = (rr.TimeRangeBoundary.absolute(seq=tick) for tick in (0, max(1, len(values))))
+        whole = rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
         views[entity] = rrb.TimeSeriesView(
             origin=entity, name=TITLES[entity], axis_x=whole, axis_y=rrb.ScalarAxis(range=(low - room, high + room)),
             plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop))  # fmt: skip
