@@ -15,7 +15,7 @@ import pytest
 from robots import ROBOTS
 from toolkit.bundle import load_bundle
 from toolkit.deploy import wire
-from toolkit.deploy.arm import Command, State
+from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.runtime import Runtime, TickLog, play, rehearse, wilson_interval
 from toolkit.errors import ToolkitError
@@ -80,6 +80,38 @@ def test_poses_and_joint_angles_do_the_task_on_a_position_controlled_arm(bundle,
     outcome = play(runtime, driver, TickLog(None, {}), "lockstep")
     assert outcome.success and driver.result()["success"] and not outcome.faults, outcome
     driver._socket.close()
+
+
+class Tardy:
+    """An arm whose states are a second old."""
+
+    def __init__(self, bundle):
+        g = bundle.golden
+        self.rows = [g[f"episode_{name}"] for name in ("joints", "object_position", "object_quaternion", "fingers")]
+        self.goal, self.row, self.stopped = g["episode_goal"], -1, ""
+
+    def read(self):
+        self.row += 1
+        arm, position, quaternion, fingers = (rows[min(max(0, self.row - 1), len(rows) - 1)] for rows in self.rows)
+        return State(time.monotonic() - 1.0, arm, position, quaternion, self.goal, fingers)
+
+    def send(self, command):
+        return command
+
+    def stop(self, reason):
+        self.stopped = reason
+
+
+def test_only_by_the_clock_can_a_state_be_stale(bundle):
+    """In lockstep the arm waits: a machine that is too busy, or stops for a while, changes nothing."""
+    info = ArmInfo("kinova3", tuple(joint.name for joint in bundle.manifest.joints), bundle.manifest.gripper.joints, ("osc",), 500.0)
+    outcomes = {}
+    for pace in ("real", "lockstep"):
+        arm = Tardy(bundle)
+        outcome = play(Runtime(bundle, info), arm, TickLog(None, {}), pace)
+        outcomes[pace] = outcome.stopped, arm.stopped, outcome.success
+    assert outcomes["real"][0].startswith("stale_state") and outcomes["real"][0] == outcomes["real"][1]
+    assert outcomes["lockstep"] == ("", "", True)
 
 
 def test_a_stopped_twin_takes_no_commands(bundle, served):
@@ -182,7 +214,7 @@ def test_a_twin_by_the_clock_follows_it_and_holds_when_commands_cease(twin, monk
     before = twin.native.env.robots[0].gripper["right"].current_action.copy()
     pass_time(WATCHDOG * 0.05 + 0.3)
     speed = np.abs(twin.data.qvel[twin._dofs]).max()
-    assert speed < 0.02, f"the arm still moves with {speed:.3f} rad/s"
+    assert speed < 0.04, f"the arm still moves with {speed:.3f} rad/s"  # its posture pulls it slowly back
     assert (twin.native.env.robots[0].gripper["right"].current_action == before).all(), "the gripper was told once"
     assert twin.behind >= 0.3
 

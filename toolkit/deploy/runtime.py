@@ -180,12 +180,12 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
         driver: connected, its arm at the start.
         log: told of every tick.
         pace: "real": a tick starts every policy period by the clock; "lockstep": as soon as the last one has ended, for a
-            simulation that waits.
+            simulation that waits, whose states are therefore never stale and whose episodes repeat exactly.
         episode: number for the log.
     """
     outcome = Outcome()
     first = _read(driver)
-    fault = first if isinstance(first, Fault) else runtime.begin(first, time.monotonic())
+    fault = first if isinstance(first, Fault) else runtime.begin(first, _now(first, pace))
     if fault is not None:
         outcome.stopped, outcome.faults = f"{fault.kind}: {fault.detail}", Counter([fault.kind])
         driver.stop(outcome.stopped)
@@ -197,7 +197,7 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
             began = time.perf_counter()
             state = _read(driver)
             read = time.perf_counter() - began
-            tick = runtime.tick(state, time.monotonic(), late)
+            tick = runtime.tick(state, _now(state, pace), late)
             sending = time.perf_counter()
             sent = _send(driver, tick.command)
             tick.times |= {"read": read, "send": time.perf_counter() - sending}
@@ -224,6 +224,10 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
         driver.stop(outcome.stopped)
         log.note(episode, "stop", outcome.stopped)
     return outcome
+
+
+def _now(state: State | Fault, pace: Pace) -> float:
+    return state.stamp if pace == "lockstep" and isinstance(state, State) else time.monotonic()
 
 
 def _count(outcome: Outcome, tick: Tick, late: bool) -> None:
