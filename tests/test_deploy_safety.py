@@ -1,6 +1,6 @@
 """No unsafe command: whatever policy and observations do, commands stay within the manifest, and a fault holds the arm.
 
-The suite plays a few thousand ticks per form. A million of them, in a quarter of an hour on an idle core:
+The suite plays 1500 ticks per form. A million per form take about an hour of an idle core:
 
     META_EVOLVE_SAFETY_TICKS=1000000 python -m pytest tests/test_deploy_safety.py -k adversarial
 """

@@ -121,8 +121,8 @@ def _summary(about: dict[str, Any], rows: list[dict[str, Any]], ticks: list[dict
     if ticks:
         own = np.array([sum(row[f"{stage}_ms"] for stage in STAGES[1:4]) for row in ticks])
         half, most = np.percentile(own, [50, 99])
-        lines += [f"A tick took {half:.2f} ms, 99 of 100 less than {most:.2f} ms, the longest {own.max():.2f} ms; "
-                  f"{sum(row['late'] for row in ticks)} were late.", ""]  # fmt: skip
+        lines += [f"Half of the ticks took less than {half:.2f} ms, 99 of 100 less than {most:.2f} ms, the longest {own.max():.2f} ms. "
+                  f"Late ticks: {sum(row['late'] for row in ticks)}.", ""]  # fmt: skip
     lines += [f"- held for {kind}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
     lines += [f"- episode {row['episode']} stopped: {row['stop']}" for row in rows if "stop" in row]
     return "\n".join(lines)
