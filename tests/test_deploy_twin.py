@@ -33,14 +33,22 @@ def bundle():
 
 @pytest.fixture(scope="module")
 def served():
-    """A twin in a process of its own, in lockstep, and its port."""
-    command = [sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", "lockstep"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    line = process.stdout.readline()
-    assert line.startswith("twin of kinova3 at 127.0.0.1:"), line
-    yield int(line.rsplit(":", 1)[1])
-    process.terminate()
-    process.wait()
+    """Ports by name: twins in processes of their own, in lockstep."""
+    processes, ports = [], {}
+
+    def start(name="kinova3"):
+        if name not in ports:
+            command = [sys.executable, "-m", "toolkit.cli", "twin", name, "--pace", "lockstep"]
+            processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT))
+            line = processes[-1].stdout.readline()
+            assert line.startswith(f"twin of {name} at 127.0.0.1:"), line
+            ports[name] = int(line.rsplit(":", 1)[1])
+        return ports[name]
+
+    yield start
+    for process in processes:
+        process.terminate()
+        process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +66,7 @@ def test_deploy_runs_where_there_is_neither_torch_nor_robosuite(served, tmp_path
         f"        if name.split('.')[0] in {BLOCKED!r}: raise ImportError(name + ' is blocked')\n"
         "sys.meta_path.insert(0, Blocked())\n"
         "from toolkit.cli import main\n"
-        f"main(['deploy', 'kinova3', '--connect', '127.0.0.1:{served}', '--episodes', '1', '--pace', 'lockstep', '--json', "
+        f"main(['deploy', 'kinova3', '--connect', '127.0.0.1:{served()}', '--episodes', '1', '--pace', 'lockstep', '--json', "
         f"'--log', {str(log)!r}])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
@@ -72,10 +80,11 @@ def test_deploy_runs_where_there_is_neither_torch_nor_robosuite(served, tmp_path
     assert all({"observe_ms", "policy_ms", "command_ms", "age_ms", "action", "target"} <= set(row) for row in rows)
 
 
-@pytest.mark.parametrize("form", ["pose", "joint"])
-def test_poses_and_joint_angles_do_the_task_on_a_position_controlled_arm(bundle, served, form):
-    driver = SimDriver("127.0.0.1", served)
-    runtime = Runtime(bundle, driver.connect(), form)
+@pytest.mark.parametrize("name, form", [("kinova3", "pose"), ("kinova3", "joint"), ("iiwa", "pose")])
+def test_poses_and_joint_angles_do_the_task_on_a_position_controlled_arm(served, name, form):
+    """The iiwa in poses too: its first joint was once given more of the motion than its speed limit allows."""
+    driver = SimDriver("127.0.0.1", served(name))
+    runtime = Runtime(load_bundle(name), driver.connect(), form)
     driver.begin(10**9)
     outcome = play(runtime, driver, TickLog(None, {}), "lockstep")
     assert outcome.success and driver.result()["success"] and not outcome.faults, outcome
@@ -115,7 +124,7 @@ def test_only_by_the_clock_can_a_state_be_stale(bundle):
 
 
 def test_a_stopped_twin_takes_no_commands(bundle, served):
-    driver = SimDriver("127.0.0.1", served)
+    driver = SimDriver("127.0.0.1", served())
     driver.connect()
     driver.begin(10**9)
     driver.stop("a test")

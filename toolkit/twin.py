@@ -172,7 +172,11 @@ class Twin:
         return self._mass() @ push + data.qfrc_bias[self._dofs]
 
     def _follow_pose(self, target: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """Torques (n,) of the same servo in Cartesian space, towards a pose (7,) in the base frame."""
+        """Torques (n,) of the same servo in Cartesian space, towards a pose (7,) in the base frame.
+
+        A redundant arm divides the motion among its joints by their inertia, as under robosuite's controller (the dynamically
+        consistent inverse of Khatib 1987): the joint speeds that the manifest allows are those of that division.
+        """
         data, jacobian = self.data, np.zeros((6, self.model.nv))
         mujoco.mj_jacSite(self.model, data, jacobian[:3], jacobian[3:], self._site)
         jacobian = jacobian[:, self._dofs]
@@ -182,9 +186,11 @@ class Twin:
         error = np.append(position - data.site_xpos[self._site], turned)
         wanted = np.append(self._base @ twist[:3], self._base @ twist[3:]) - jacobian @ data.qvel[self._dofs]
         push = SERVO_KP * error + 2 * np.sqrt(SERVO_KP) * wanted
-        inverse = np.linalg.pinv(jacobian)
+        mass = self._mass()
+        yielding = np.linalg.solve(mass, jacobian.T)
+        inverse = yielding @ np.linalg.pinv(jacobian @ yielding)
         posture = 10.0 * (self._posture - data.qpos[self._qpos]) - 2 * np.sqrt(10.0) * data.qvel[self._dofs]
-        return self._mass() @ (inverse @ push + posture - inverse @ (jacobian @ posture)) + data.qfrc_bias[self._dofs]
+        return mass @ (inverse @ push + posture - inverse @ (jacobian @ posture)) + data.qfrc_bias[self._dofs]
 
 
 def serve(twin: Twin, listener: socket.socket) -> None:
