@@ -387,7 +387,10 @@ def test_the_tree_of_the_robots(capsys, monkeypatch, space):
 def test_the_match_of_the_robots(capsys, lab):
     """Parity is measured, 4 s per robot, so here for two of them; test_parity.py holds the figures of all."""
     lab.targets = lab.targets[:1]
-    found = answer(capsys, "match", "--theta")
+    found = answer(capsys, "match", "--theta", "--episodes", "2")
+    assert [(row["env"], row["episodes"]) for row in found["expert"]] == [("merged", 2), ("native-compiled", 2)]
+    assert found["expert"][0]["seed"] == found["expert"][1]["seed"]
+    assert found["dropped_meshes"]["kinova3"] > 0 == found["dropped_meshes"]["adroit"] and 0.0 < found["become_ms"] < 1e3
     assert found["source"] == "adroit" and found["D"] == lab.space.size
     assert [row["name"] for row in found["robots"]] == list(lab.space.matching.names[:2])
     figures = {

@@ -4,12 +4,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TASK, all_robots, find_robot, make_lab
+from toolkit.cli.names import TASK, all_robots, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, short, table
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from robots.robot import Robot
+    from toolkit.pipeline import Lab
 
 
 def robots(check: str | None = None, json: bool = False) -> None:
@@ -52,7 +53,12 @@ def _check(robot: "Robot", json: bool) -> None:
 
 
 def match(
-    source: str = "adroit", targets: tuple[str, ...] = (), theta: bool = False, plot: Path | None = None, json: bool = False
+    source: str = "adroit",
+    targets: tuple[str, ...] = (),
+    theta: bool = False,
+    plot: Path | None = None,
+    episodes: int = 0,
+    json: bool = False,
 ) -> None:
     """Merge robots into one kinematic tree and measure what the merge keeps of each.
 
@@ -61,8 +67,11 @@ def match(
         targets: where the policy should go; default: every system that is no source.
         theta: list every parameter of the evolution space.
         plot: draw the merged tree into this file (PNG, PDF or SVG).
+        episodes: let the source's expert play so many on the merged source and on the source robot itself, from the same seeds.
         json: print one JSON object.
     """
+    if episodes < 0:
+        raise ToolkitError(f"episodes is {episodes}; give 0 to play none")
     targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
     with Progress("match", quiet=json) as progress:
         lab = make_lab(source, targets, TASK)
@@ -73,10 +82,14 @@ def match(
             progress.show("match", f"measuring {robot.name}", len(figures), len(targets) + 1)
             figures.append(parity(lab.merged, robot))
         milliseconds = become_milliseconds(lab.merged)
+        if episodes:
+            progress.show("match", f"{episodes} episodes on the merged {source} and on robosuite's", now=True)
+        survival = _survival(lab, episodes) if episodes else []
     if plot is not None:
         plot_merged_tree(lab.space.matching, plot)
     content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters),
-               "become_ms": milliseconds, "robots": figures,
+               "become_ms": milliseconds, "robots": figures, "dropped_meshes": lab.space.matching.dropped_meshes,
+               "expert": survival,
                "pairs": [asdict(pair) | {"overridden": pair.overridden} for pair in lab.space.matching.pairs]}
     if json:
         emit(content | ({"theta": lab.space.describe()} if theta else {}), True, "")
@@ -84,6 +97,12 @@ def match(
     print(f"Evolution space: D = {lab.space.size} dimensions move {len(lab.space.parameters)} parameters.")
     print(f"Any of its robots is made of any other in {milliseconds:.2f} ms (median).")
     table("Merged robot against the robosuite robot", list(figures[0]), [[short(v) for v in f.values()] for f in figures])
+    dropped = [f"{name} {count}" for name, count in lab.space.matching.dropped_meshes.items() if count]
+    if dropped:
+        print(f"Collision meshes that the merged grippers go without, touching by their primitives: {', '.join(dropped)}.")
+    for played in survival:
+        print(f"{source}'s expert on {'F(beta)' if played['env'] == 'merged' else 'the robosuite robot'}: {played['successes']} of "
+              f"{played['episodes']} episodes succeed (95 % interval {played['ci95'][0]:.3f} to {played['ci95'][1]:.3f}).")  # fmt: skip
     slots = lab.space.matching.slots
     rows = [
         [slot.name, slots[slot.parent].name if slot.parent >= 0 else "world",
@@ -98,3 +117,19 @@ def match(
         table("theta", ["parameter", "unit", "dimension", *lab.space.matching.names],
                [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())]
                 for p in lab.space.describe()])  # fmt: skip
+
+
+def _survival(lab: "Lab", episodes: int) -> list[dict]:
+    """The source's expert on F(beta) of the source and on the source robot itself under the compiled step, same seeds."""
+    from toolkit.evaluation import evaluate_compiled, evaluate_merged
+    from toolkit.expert import load_expert
+    from toolkit.simulation.rollout import RolloutEngine
+
+    policy, _ = load_expert(lab.source.name, TASK)
+    engine = RolloutEngine(lab.merged)
+    played = [
+        evaluate_merged(policy, engine, lab.source.name, episodes),
+        evaluate_compiled(policy, lab.source, find_task(TASK), episodes),
+    ]
+    engine.close()
+    return [evaluation.to_json() for evaluation in played]
