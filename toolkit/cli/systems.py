@@ -10,6 +10,7 @@ from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from robots.robot import Robot
+    from toolkit.morphology.matching import Matching
     from toolkit.pipeline import Lab
 
 
@@ -65,7 +66,7 @@ def match(
     Args:
         source: the robot that the expert was trained on.
         targets: where the policy should go; default: every system that is no source.
-        theta: list every parameter of the evolution space.
+        theta: list every parameter of the evolution space, and what the quantities mean.
         plot: draw the merged tree into this file (PNG, PDF or SVG).
         episodes: let the source's expert play so many on the merged source and on the source robot itself, from the same seeds.
         json: print one JSON object.
@@ -76,6 +77,7 @@ def match(
     with Progress("match", quiet=json) as progress:
         lab = make_lab(source, targets, TASK)
         from toolkit.morphology.parity import become_milliseconds, parity, plot_merged_tree
+        from toolkit.morphology.quantities import QUANTITIES
 
         figures = []
         for robot in (lab.source, *lab.targets):
@@ -91,32 +93,40 @@ def match(
                "become_ms": milliseconds, "robots": figures, "dropped_meshes": lab.space.matching.dropped_meshes,
                "expert": survival,
                "pairs": [asdict(pair) | {"overridden": pair.overridden} for pair in lab.space.matching.pairs]}
+    if theta:
+        content |= {"theta": lab.space.describe(), "quantities": QUANTITIES}
     if json:
-        emit(content | ({"theta": lab.space.describe()} if theta else {}), True, "")
-        return
-    print(f"Evolution space: D = {lab.space.size} dimensions move {len(lab.space.parameters)} parameters.")
-    print(f"Any of its robots is made of any other in {milliseconds:.2f} ms (median).")
+        emit(content, True, "")
+    else:
+        _show_match(lab.space.matching, content)
+
+
+def _show_match(matching: "Matching", found: dict) -> None:
+    """What ``match`` found, for people."""
+    figures, names = found["robots"], matching.names
+    print(f"Evolution space: D = {found['D']} dimensions move {found['parameters']} parameters.")
+    print(f"Any of its robots is made of any other in {found['become_ms']:.2f} ms (median).")
     table("Merged robot against the robosuite robot", list(figures[0]), [[short(v) for v in f.values()] for f in figures])
-    dropped = [f"{name} {count}" for name, count in lab.space.matching.dropped_meshes.items() if count]
+    dropped = [f"{name} {count}" for name, count in found["dropped_meshes"].items() if count]
     if dropped:
         print(f"Collision meshes that the merged grippers go without, touching by their primitives: {', '.join(dropped)}.")
-    for played in survival:
-        print(f"{source}'s expert on {'F(beta)' if played['env'] == 'merged' else 'the robosuite robot'}: {played['successes']} of "
-              f"{played['episodes']} episodes succeed (95 % interval {played['ci95'][0]:.3f} to {played['ci95'][1]:.3f}).")  # fmt: skip
-    slots = lab.space.matching.slots
+    for played in found["expert"]:
+        where, (low, high) = "F(beta)" if played["env"] == "merged" else "the robosuite robot", played["ci95"]
+        print(f"{found['source']}'s expert on {where}: {played['successes']} of {played['episodes']} episodes succeed "
+              f"(95 % interval {low:.3f} to {high:.3f}).")  # fmt: skip
+    slots = matching.slots
     rows = [
-        [slot.name, slots[slot.parent].name if slot.parent >= 0 else "world",
-         *("yes" if s.present(i) else "-" for s in lab.space.matching.systems)]
+        [slot.name, slots[slot.parent].name if slot.parent >= 0 else "world", *("yes" if s.present(i) else "-" for s in matching.systems)]
         for i, slot in enumerate(slots)
-    ]  # fmt: skip
+    ]
     origin = lambda pair: "the card overrules" if pair.overridden else "geometry and card agree" if pair.by_card else "geometry"  # noqa: E731
     table("Pairs: which joint is which of the source's, and who says so", ["robot", "its joint", "plays", "geometry proposes", "by"],
-          [[p.robot, p.joint, p.slot, p.proposed or "-", origin(p)] for p in lab.space.matching.pairs])  # fmt: skip
-    table("Matched joints", ["joint", "parent", *lab.space.matching.names], rows)
-    if theta:
-        table("theta", ["parameter", "unit", "dimension", *lab.space.matching.names],
-               [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())]
-                for p in lab.space.describe()])  # fmt: skip
+          [[p.robot, p.joint, p.slot, p.proposed or "-", origin(p)] for p in matching.pairs])  # fmt: skip
+    table("Matched joints", ["joint", "parent", *names], rows)
+    if "theta" in found:
+        table("theta", ["parameter", "unit", "dimension", *names],
+              [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())] for p in found["theta"]])  # fmt: skip
+        table("What the quantities are", ["quantity", "meaning"], list(found["quantities"].items()))
 
 
 def _survival(lab: "Lab", episodes: int) -> list[dict]:
