@@ -51,6 +51,16 @@ def test_onnx_agrees_with_numpy(exported):
     assert 0.05 < (np.abs(actions) == 1.0).mean() < 0.95, "the test should see both sides of the clip"
 
 
+def test_a_vector_acts_as_its_record_does(exported):
+    """The vector's memory is bound to the session: neither later calls nor another session may change what came out."""
+    one, other = load_onnx(exported), load_onnx(exported)
+    observations = np.random.default_rng(2).standard_normal((50, 38))
+    found = [(one.act(row), other.act(-row)) for row in observations]
+    for row, (action, mirrored) in zip(observations, found, strict=True):
+        assert action.tolist() == one(split(row)).tolist() and mirrored.tolist() == one(split(-row)).tolist()
+    assert np.isnan(one.act(np.full(38, np.nan))).all() and one.act(observations[0]).tolist() == found[0][0].tolist()
+
+
 def test_the_comparison_would_notice_another_policy(exported):
     observations = np.random.default_rng(1).standard_normal((20, 38))
     assert onnx_max_abs_error(make_policy(seed=1), exported, observations, make_map()) > 0.1
