@@ -29,7 +29,7 @@ class Entry:
     seed: int = 0
     task: str = TASK
     targets: tuple[str, ...] = TARGETS
-    episodes: int = 40
+    episodes: int = 20
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
@@ -48,12 +48,12 @@ SUITES: dict[str, dict[str, Entry]] = {
     "real-robots": {
         # What is shipped, and judged over 200 seeds.
         "tree-0": Entry(episodes=200),
-        "can-tree-0": Entry(task=CAN, targets=JAWS, episodes=200),
+        "can-tree-0": Entry(task=CAN, targets=JAWS, episodes=100),
         "tree-1": Entry(seed=1),
         "independent-0": Entry(kind="independent"),
         "direct-0": Entry(kind="direct"),
         # A start within 5 cm and 30 degrees: here the policy has to learn on the way.
-        "wide-tree-0": Entry(task=WIDE, budget=1_500, episodes=100),
+        "wide-tree-0": Entry(task=WIDE, budget=1_500, episodes=60),
         "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
         "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
         # The other trees and ways.

@@ -357,7 +357,6 @@ def _open_chains(
             joints[driven], damping=linkage.damping, spring=linkage.stiffness, spring_quadratic=linkage.quadratic,
             spring_rest=linkage.rest,
         )  # fmt: skip
-        joints[pad] = replace(joints[pad], damping=linkage.pad_damping)
         wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)  # nothing may push against the lock
         joints[knuckle] = replace(joints[knuckle], locked=True, limits=wide)
         unlimited = (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
