@@ -42,6 +42,7 @@ class Entry:
 
 
 CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
+SIX = (*TARGETS, "panda", "ur5e", "sawyer")
 COARSE = 0.3
 """Fixed step: the paper's xi of 0.03 takes a thousand phases here, each of 16 checking episodes or more."""
 SUITES: dict[str, dict[str, Entry]] = {
@@ -56,6 +57,9 @@ SUITES: dict[str, dict[str, Entry]] = {
         "wide-tree-0": Entry(task=WIDE, budget=1_500, episodes=60),
         "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
         "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
+        # Twice as many targets.
+        "six-tree-0": Entry(targets=SIX),
+        "six-independent-0": Entry(targets=SIX, kind="independent"),
         # The other trees and ways.
         "tree-l2-0": Entry(metric="l2"),
         "median-0": Entry(kind="geometric-median"),
