@@ -5,6 +5,7 @@ The suite plays 1500 ticks per form. A million per form take about an hour of an
     META_EVOLVE_SAFETY_TICKS=1000000 python -m pytest tests/test_deploy_safety.py -k adversarial
 """
 
+import dataclasses
 import os
 import re
 
@@ -448,6 +449,22 @@ def test_a_steady_action_commands_the_metres_that_the_arm_would_make(bundle, for
         height = tick.command.target[2] + m.robot.base_position_m[2]
     wanted = 20 * 0.2 * m.controller.translation_m * m.controller.response.steady[2]
     assert height - low == pytest.approx(wanted, rel=0.12), f"{height - low:.4f} m commanded, {wanted:.4f} m expected"
+
+
+def test_a_push_towards_the_table_ends_above_it(bundle):
+    """Down, and only down, with an arm that obeys: the gripper comes to rest at its clearance, and that is no fault."""
+    limits = dataclasses.replace(bundle.manifest.cartesian, table_clearance_m=0.06)
+    raised = dataclasses.replace(bundle, manifest=dataclasses.replace(bundle.manifest, cartesian=limits))
+    runtime = Runtime(raised, info_of(raised.manifest), "joint", lambda observation: np.array([0, 0, -0.6, 0, 0, 0, -1.0]))
+    state, heights = start_state(raised), []
+    assert runtime.begin(state, 0.0) is None
+    for i in range(80):
+        tick = runtime.tick(changed(state, stamp=0.05 * i), 0.05 * i)
+        assert tick.fault is None, tick.fault
+        state = changed(state, joints=tick.command.target)
+        runtime.observer(state, 0.0)
+        heights.append(runtime.observer.kinematics.lowest() - limits.table_top_m)
+    assert heights[0] > 0.08 and min(heights) > 0.06 - 1e-3 and heights[-1] < 0.065, f"{heights[0]:.3f} to {heights[-1]:.4f} m"
 
 
 def test_rotation_vectors_and_matrices_agree():

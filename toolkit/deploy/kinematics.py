@@ -83,6 +83,7 @@ class Kinematics:
         self._arm, self._fingers = self._addresses(joints), self._addresses(fingers)
         self.start_rotation = np.array(start_rotation)
         self._coordinates: np.ndarray | None = None
+        self._lowest: float | None = None
         try:
             self._site, flange = model.site("grasp").id, model.body(flange).id
         except KeyError as error:
@@ -110,7 +111,7 @@ class Kinematics:
         """Set arm (n,) and finger (m,) angles [rad], in the manifest's order."""
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, fingers
         mujoco.mj_kinematics(self.model, self.data)
-        self._coordinates = None
+        self._coordinates = self._lowest = None
 
     @property
     def position(self) -> np.ndarray:
@@ -130,7 +131,9 @@ class Kinematics:
 
     def lowest(self) -> float:
         """Height [m] of the lowest point of what hangs on the flange."""
-        return self._extent.lowest(self.data)
+        if self._lowest is None:
+            self._lowest = self._extent.lowest(self.data)
+        return self._lowest
 
 
 class _Extent:

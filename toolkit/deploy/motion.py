@@ -260,6 +260,7 @@ class PoseMotion(_Base):
         super().__init__(manifest, kinematics, rate_hz)
         base = np.array(manifest.robot.base_quaternion)
         self._base, self._origin = matrix_of(base), np.array(manifest.robot.base_position_m)
+        self._clearance = manifest.cartesian.table_top_m + manifest.cartesian.table_clearance_m
         self._from_task = sandwich(base * (1, -1, -1, -1), quaternion_of(kinematics.start_rotation))
 
     def begin(self, joints: np.ndarray) -> None:
@@ -284,6 +285,10 @@ class PoseMotion(_Base):
         motion = _turned(frame, motion)
         free = _within(self._free + motion, measured - self.lead, measured + self.lead)
         self._free = _within(free, self.box.low, self.box.high)
+        braking = 0.5 * self.period * max(0.0, -self.box.rate[2])  # what a fall covers in the tick that ends it
+        floor = min(measured[2] + self._clearance - self.kinematics.lowest() + braking, self.box.place[2])
+        if self._free[2] < floor:  # no closer to the table than is allowed: an end to the motion, where the guard knows but a fault
+            self._free[2], motion[2] = floor, max(0.0, motion[2])
         self.box.advance((motion + CATCH_UP * (self._free - motion - self.box.place)) / self.period)
 
     def coordinates(self, command: Command) -> np.ndarray:
