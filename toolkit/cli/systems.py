@@ -106,7 +106,9 @@ def _show_match(matching: "Matching", found: dict) -> None:
     figures, names = found["robots"], matching.names
     print(f"Evolution space: D = {found['D']} dimensions move {found['parameters']} parameters.")
     print(f"Any of its robots is made of any other in {found['become_ms']:.2f} ms (median).")
-    table("Merged robot against the robosuite robot", list(figures[0]), [[short(v) for v in f.values()] for f in figures])
+    brief = lambda value: f"{value:.0e}" if 0.0 < value < 1e-3 else f"{value:.2g}"  # noqa: E731
+    rows = [[figure.replace("_", " "), *(brief(f[figure]) for f in figures)] for figure in figures[0] if figure != "name"]
+    table("Merged robot against the robosuite robot", ["figure", *(f["name"] for f in figures)], rows)
     dropped = [f"{name} {count}" for name, count in found["dropped_meshes"].items() if count]
     if dropped:
         print(f"Collision meshes that the merged grippers go without, touching by their primitives: {', '.join(dropped)}.")
