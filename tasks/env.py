@@ -9,7 +9,7 @@ from robosuite.models.objects import BoxObject, CylinderObject
 from robosuite.models.tasks import ManipulationTask
 
 from robots.robot import Robot
-from tasks.pick import OBJECT_FRICTION, OBJECT_SOLREF, TABLE_FULL_SIZE, TABLE_TOP, PickTask, at_goal, is_lost
+from tasks.pick import OBJECT_SOLREF, TABLE_FULL_SIZE, TABLE_TOP, PickTask, at_goal, is_lost
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Pick(ManipulationEnv):
         kind = BoxObject if item.shape == "box" else CylinderObject
         self.item = kind(
             name="object", size=list(item.half_size), density=item.mass / item.volume, rgba=[0.9, 0.3, 0.2, 1],
-            friction=list(OBJECT_FRICTION), solref=list(OBJECT_SOLREF), joints=[{"type": "free"}],
+            friction=list(item.friction), solref=list(OBJECT_SOLREF), joints=[{"type": "free"}],
         )  # fmt: skip
         self.model = ManipulationTask(
             mujoco_arena=arena, mujoco_robots=[robot.robot_model], mujoco_objects=self.item

@@ -13,17 +13,22 @@ class PickObject:
         half_size: box: half extents (x, y, z) [m], narrow side along y, where the jaws close; cylinder: (radius,
             half height) [m], upright.
         mass: [kg].
+        friction: sliding, spinning and rolling; MuJoCo's defaults, which robosuite's objects have. Of two that touch the larger
+            one counts.
     """
 
     name: str
     shape: str
     half_size: tuple[float, ...]
     mass: float
+    friction: tuple[float, float, float] = (1.0, 0.005, 0.0001)
 
     def __post_init__(self) -> None:
         wanted = {"box": 3, "cylinder": 2}.get(self.shape)
         if wanted is None or len(self.half_size) != wanted or min(self.half_size) <= 0 or self.mass <= 0:
             raise ValueError(f"object {self.name}: bad shape {self.shape!r}, size {self.half_size} or mass {self.mass}")
+        if len(self.friction) != 3 or min(self.friction) < 0:
+            raise ValueError(f"object {self.name}: bad friction {self.friction}; it has three values, none below zero")
 
     @property
     def half_height(self) -> float:

@@ -21,8 +21,8 @@ START_ROTATION = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Grasp frame axes at the start, as columns: x (closing axis, thumb side) along world y, z (approach) downwards."""
 OBJECT_XY = np.array([-0.10, 0.0])
 """Nominal object position [m] on the table."""
-OBJECT_FRICTION = (1.0, 0.005, 0.0001)
-"""Sliding, spinning and rolling friction of objects and table: MuJoCo's defaults, which robosuite's boxes have."""
+TABLE_FRICTION = (1.0, 0.005, 0.0001)
+"""Sliding, spinning and rolling friction: robosuite's table arena."""
 OBJECT_SOLREF = (0.02, 1.0)
 """Contact time constant [s] and damping ratio: MuJoCo's defaults."""
 OBJECT_MARGIN = {"box": 0.0, "cylinder": 0.001}

@@ -37,16 +37,17 @@ def view(
     Args:
         path: a run folder, an .rrd file, or the .jsonl log of a deployment; with --compare one or two run folders.
         rebuild: make the recording anew from the run folder, with every episode that its phases hold.
-        live: follow a running transfer.
+        live: follow a running transfer; it may also be still to begin.
         compare: one or two targets, or one target of two runs: their final policies side by side, from the same seed.
         seed: of the start in --compare; the default is the first of `meta-evolve evaluate`.
         page: show this page alone.
         still: save what the viewer shows as a PNG instead of opening it.
-        at: moment of the still: seconds of the film, on the page learning the iteration.
+        at: moment of the still or of the excerpt: seconds of the film, on the page learning the iteration.
         size: of the still, WIDTHxHEIGHT.
-        out: file for what --compare or --rebuild makes; default: inside the run folder.
+        out: file for what --compare or --rebuild makes; default: inside the run folder. With --page, or --compare and --at:
+            that page as it is at that moment (default: the last), as a small recording of its own.
     """
-    from toolkit.recording import shows, viewer
+    from toolkit.recording import excerpt, shows, stream, viewer
 
     if len(path) == 1 and path[0].suffix == ".jsonl":
         from toolkit.recording.deployment import record_deployment
@@ -55,26 +56,33 @@ def view(
     if not path or len(path) > 2 or (len(path) == 2 and not compare):
         raise ToolkitError(f"view takes one run folder or .rrd file, and two run folders with --compare; got {len(path)}")
     if live:
-        _follow(_known(path[0]))
+        _follow(path[0])
         return
     file = path[0]
     if compare:
-        file = out or path[0] / f"compare-{'-'.join(compare)}.rrd"
+        cut = out if at is not None and still is None else None
+        file = path[0] / f"compare-{'-'.join(compare)}.rrd" if cut or out is None else out
         sides = _sides(path, compare)
         films = shows.compare(sides, file, seed)
         print("; ".join(f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)))
+        if cut is not None:
+            excerpt.excerpt(file, "compare", at, shows.compare_layout([label for label, _, _ in sides], True), cut)
     elif rebuild:
-        file = out or path[0] / "recording.rrd"
+        file = path[0] / "recording.rrd" if out is None or page is not None else out
         print(str(shows.rebuild(_known(path[0]), file)))
     files = [viewer.recording_of(file)]
     if page is not None and not compare:
-        files.append(path[0] / f"{page}.rbl")
-        shows.save_page(_known(path[0]), page, files[-1])
+        if out is not None:
+            moment = excerpt.moment_of(files[0], at, page)
+            excerpt.excerpt(files[0], page, moment, shows.page_layout(_folder(path[0]), files[0], page, True), out)
+        else:
+            files.append(_folder(path[0]) / f"{page}.rbl")
+            shows.page_layout(files[-1].parent, files[0], page).save(stream.APPLICATION, str(files[-1]))
     if still is not None:
         viewer.still(files, still, at, size, "iteration" if page == "learning" else "film")
         print(still)
     elif out is not None:
-        print(file)
+        print(out)
     elif viewer.has_display():
         viewer.open_window(*files)
         print(f"opened {file} in the Rerun viewer")
@@ -83,9 +91,23 @@ def view(
         _wait(process, f"no display here; open {address} in a browser (from afar, forward its ports with ssh -L). Ctrl-C ends it.")
 
 
-def _follow(known: "Known") -> None:
+def _folder(path: Path) -> Path:
+    """The run folder of a recording."""
+    return path if path.is_dir() else path.parent
+
+
+def _follow(folder: Path) -> None:
+    import time
+
     from toolkit.recording import shows, viewer
 
+    _content(folder)
+    waits = lambda: not (folder / "tree.json").exists() and not (folder / "report.json").exists()  # noqa: E731
+    if waits():
+        print("waiting for the transfer to begin: it measures and merges its robots first", flush=True)
+    while waits():
+        time.sleep(shows.POLL)
+    known = _known(folder)
     if viewer.has_display():
         process, proxy = viewer.follow_window()
         print("following the run in the Rerun viewer; close it, or Ctrl-C, to stop")
@@ -95,6 +117,8 @@ def _follow(known: "Known") -> None:
     try:
         shows.follow(known, proxy, until=lambda: process.poll() is not None)
         _wait(process, "the run has ended; Ctrl-C ends the viewer")
+    except KeyboardInterrupt:
+        print("stopped looking; the transfer does not notice")
     finally:
         process.terminate()
 

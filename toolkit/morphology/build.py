@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 
 from tasks.pick import (
-    OBJECT_FRICTION,
     OBJECT_MARGIN,
     OBJECT_SOLREF,
     OBJECT_XY,
     START_POSITION,
     START_ROTATION,
+    TABLE_FRICTION,
     TABLE_FULL_SIZE,
     TABLE_TOP,
     PickTask,
@@ -268,7 +268,7 @@ class MergedRobot:
         half = np.array(TABLE_FULL_SIZE) / 2
         spec.worldbody.add_geom(
             name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]],
-            friction=OBJECT_FRICTION, contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
+            friction=TABLE_FRICTION, contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
             rgba=[0.75, 0.72, 0.68, 1],
         )  # fmt: skip
         spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
@@ -359,7 +359,7 @@ class MergedRobot:
         kind = mujoco.mjtGeom.mjGEOM_BOX if item.shape == "box" else mujoco.mjtGeom.mjGEOM_CYLINDER
         size = [*item.half_size, *([0.0] * (3 - len(item.half_size)))]
         body.add_geom(
-            name="object", type=kind, size=size, density=item.mass / item.volume, friction=OBJECT_FRICTION,
+            name="object", type=kind, size=size, density=item.mass / item.volume, friction=item.friction,
             solref=OBJECT_SOLREF, margin=OBJECT_MARGIN[item.shape], contype=OBJECT_BIT,
             conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
         )  # fmt: skip

@@ -7,12 +7,13 @@
     evolution/changes              the largest changes of parameters, in words
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import Chunk
 
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.plan import ROW, WIDTH, Plan, matrix
@@ -25,6 +26,10 @@ UNKNOWN, PLANNED, TEXT = (150, 150, 150), (95, 100, 110), (225, 228, 232)
 HERE = (255, 255, 255)
 LINE = 1.65
 """Distance of the heat map's rows, in columns."""
+HEAD_ROW = 1.1 * LINE
+"""Distance of the rows in which the heads of its columns stand, in columns."""
+LETTER = 0.78
+"""Width of a letter beside the heat map, in columns."""
 LARGEST = 14
 """Changes that are spelled out."""
 
@@ -111,18 +116,21 @@ class EvolutionPage:
         lengths = [f"{edge['length']:.1f}" for edge in plan.edges]
         put("evolution/tree/lengths", rr.Points2D(middles, labels=lengths, colors=UNKNOWN, radii=speck, show_labels=True))
         put("evolution/tree/nodes", rr.Points2D([plan.places[n] for n in names], colors=colours, radii=dot))
-        put("evolution/tree/names", rr.Points2D([plan.places[n] for n in names], labels=labels, colors=TEXT, radii=speck, show_labels=True))
+        beside = [(x + (24 + 7.5 * len(label) if kind == "target" else 0), y - (0.13 * ROW if kind == "target" else 0))
+                  for (x, y), label, kind in zip(plan.places.values(), labels, kinds, strict=True)]  # fmt: skip
+        put("evolution/tree/names", rr.Points2D(beside, labels=labels, colors=TEXT, radii=speck, show_labels=True))
         put("evolution/tree/here", rr.Points2D.from_fields(colors=HERE, radii=big))
         spots = plan.project(np.array([plan.nodes[name]["alpha"] for name in names]))
         index = {name: k for k, name in enumerate(names)}
         ways = [spots[[index[edge["from"]], index[edge["to"]]]] for edge in plan.edges]
-        flat = spots[:, :2] * (1, -1)
+        flat, ends = spots[:, :2] * (1, -1), [k for k, kind in enumerate(kinds) if kind != "meta"]
+        named = [names[k] for k in ends]
         put("evolution/pca2/plan", rr.LineStrips2D([way[:, :2] * (1, -1) for way in ways], colors=PLANNED, radii=thin))
         put("evolution/pca2/nodes", rr.Points2D(flat, colors=colours, radii=dot))
-        put("evolution/pca2/names", rr.Points2D(flat, labels=names, colors=TEXT, radii=speck, show_labels=True))
+        put("evolution/pca2/names", rr.Points2D(flat[ends], labels=named, colors=TEXT, radii=speck, show_labels=True))
         put("evolution/pca3/plan", rr.LineStrips3D(ways, colors=PLANNED, radii=thin))
         put("evolution/pca3/nodes", rr.Points3D(spots, colors=colours, radii=dot))
-        put("evolution/pca3/names", rr.Points3D(spots, labels=names, colors=TEXT, radii=speck, show_labels=True))
+        put("evolution/pca3/names", rr.Points3D(spots[ends], labels=named, colors=TEXT, radii=speck, show_labels=True))
         for entity, kind in (("pca2", rr.Points2D), ("pca3", rr.Points3D)):
             put(f"evolution/{entity}/here", kind.from_fields(colors=HERE, radii=big))
 
@@ -131,10 +139,12 @@ class EvolutionPage:
         put = self.stream.static
         names = dimension_names(self.space)
         put("evolution/alpha/cells", rr.Points2D.from_fields(radii=0.45, labels=names, show_labels=False))
-        places = [(-3.2, LINE * (row - 0.33)) for row in range(len(self._rows))]
+        places = [(-1.5 - 0.5 * LETTER * len(name), LINE * (row - 0.33)) for row, name in enumerate(self._rows)]
         put("evolution/alpha/rows", rr.Points2D(places, labels=self._rows, colors=TEXT, radii=0.01, show_labels=True))
-        heads = [(middle, -LINE * (1.7 + 0.85 * (k % 3))) for k, middle in enumerate(self._columns.values())]
+        heads = head_places(self._columns)
         put("evolution/alpha/columns", rr.Points2D(heads, labels=list(self._columns), colors=TEXT, radii=0.01, show_labels=True))
+        leaders = [[(x, y + 0.8 * HEAD_ROW), (x, -0.6 * LINE)] for x, y in heads]
+        put("evolution/alpha/leaders", rr.LineStrips2D(leaders, colors=PLANNED, radii=rr.Radius.ui_points(0.4)))
 
     def _changes(self, alpha: np.ndarray) -> str:
         """The largest changes of parameters since the source, as Markdown."""
@@ -158,10 +168,54 @@ class EvolutionPage:
 DARK = (22, 24, 28)
 
 
-def evolution_views(plan: Plan, space: EvolutionSpace | None) -> dict[str, rrb.View]:
-    """The page's views, by name."""
-    xs, ys = zip(*plan.places.values(), strict=True)
-    bounds = _around(np.array([xs, ys]).T, (0.14 * WIDTH, 0.75 * ROW))
+def head_places(columns: dict[str, float]) -> list[tuple[float, float]]:
+    """Where the heads of the heat map's columns stand: over their middles, in as few rows as keep them from overlapping."""
+    ends: list[float] = []
+    places = []
+    for name, middle in columns.items():
+        half = 0.5 * LETTER * (len(name) + 2)
+        row = next((row for row, end in enumerate(ends) if end <= middle - half), len(ends))
+        ends[row : row + 1] = [middle + half]
+        places.append((middle, -LINE - (row + 1) * HEAD_ROW))
+    return places
+
+
+Extent = tuple[int, float, float, float, float]
+"""How many dimensions a heat map of alpha shows, and what it spans with its names: left, right, top, bottom."""
+
+
+def alpha_extent(space: EvolutionSpace) -> Extent:
+    """The extent of a space's heat map."""
+    cells, rows, columns = matrix(space)
+    return _extent(cells * (1.0, LINE), rows, head_places(columns))
+
+
+def _extent(cells: np.ndarray, rows: Sequence[str], heads: Sequence[Sequence[float]]) -> Extent:
+    right, bottom = cells.max(axis=0)
+    top = min(y for _, y in heads)
+    return len(cells), -2.5 - LETTER * max(map(len, rows)), float(right) + 2.5, float(top) - LINE, float(bottom) + LINE
+
+
+def recorded_extent(chunks: Iterable[Chunk]) -> Extent | None:
+    """The extent of a recording's heat map; None if it has none."""
+    found: dict[str, dict[str, Any]] = {}
+    for chunk in chunks:
+        name = chunk.entity_path.removeprefix("/evolution/alpha/")
+        if name in ("cells", "rows", "columns"):
+            row = chunk.to_record_batch().slice(0, 1).to_pylist()[0]
+            found.setdefault(name, {}).update({key: value for key, value in row.items() if value is not None})
+    try:
+        cells, rows, heads = (found[name][f"Points2D:{key}"] for name, key in
+                              (("cells", "positions"), ("rows", "labels"), ("columns", "positions")))  # fmt: skip
+    except KeyError:
+        return None
+    return _extent(np.array(cells), rows, heads)
+
+
+def evolution_views(plan: Plan, extent: Extent | None) -> dict[str, rrb.View]:
+    """The page's views, by name; without an extent there is no heat map."""
+    spread = np.array([*plan.places.values(), (1.2 * WIDTH, 0.0)])  # names of targets stand to their right
+    bounds = _around(spread, (0.14 * WIDTH, 0.6 * ROW))
     spots = plan.project(np.array([node["alpha"] for node in plan.nodes.values()]))
     share = [*plan.share, 0.0, 0.0]
     views: dict[str, rrb.View] = {
@@ -173,12 +227,12 @@ def evolution_views(plan: Plan, space: EvolutionSpace | None) -> dict[str, rrb.V
             visual_bounds=_around(spots[:, :2] * (1, -1), (3.5, 2.0))),
         "pca3": rrb.Spatial3DView(
             origin="evolution/pca3", name=f"3 components: {sum(share[:3]):.0%} of the variance", background=DARK, line_grid=False,
-            eye_controls=rrb.EyeControls3D(position=(14.0, -18.0, 14.0), look_target=(1.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))),
+            eye_controls=rrb.EyeControls3D(position=(12.0, -16.0, 12.0), look_target=spots.mean(axis=0), eye_up=(0.0, 0.0, 1.0))),
     }  # fmt: skip
-    if space is not None:
-        right, bottom = (matrix(space)[0] * (1.0, LINE)).max(axis=0)
-        bounds = rrb.VisualBounds2D(x_range=(-6.5, right + 2.5), y_range=(-LINE * 4.4, bottom + LINE))
-        name = f"alpha: {space.size} dimensions, blue 0 to yellow 1 (hover for names)"
+    if extent is not None:
+        size, left, right, top, bottom = extent
+        bounds = rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom))
+        name = f"alpha: {size} dimensions, dark blue 0 to yellow 1 (hover for names)"
         views["alpha"] = rrb.Spatial2DView(origin="evolution/alpha", name=name, background=DARK, visual_bounds=bounds)
         views["changes"] = rrb.TextDocumentView(origin="evolution/changes", name="Parameters")
     return views

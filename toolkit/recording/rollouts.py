@@ -72,13 +72,13 @@ class RolloutsPage:
         self.stream.row(f"{self.root}/caption", time, iteration, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
-def rollouts_views(root: str = SIGNALS) -> dict[str, rrb.View]:
-    """The page's curves and caption, of the robot under ``root``."""
+def rollouts_views(root: str = SIGNALS, whole: bool = False) -> dict[str, rrb.View]:
+    """The page's curves and caption, of the robot under ``root``: around the cursor, or whole."""
     before, after = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-WINDOW, WINDOW))
-    window = rrb.TimeAxis(view_range=rr.TimeRange(start=before, end=after))
+    window = None if whole else rrb.TimeAxis(view_range=rr.TimeRange(start=before, end=after))
     views: dict[str, rrb.View] = {
         key: rrb.TimeSeriesView(origin=f"{root}/{key}", name=title, axis_x=window,
-                                plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop))
+                                plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop) if len(LINES[key]) > 1 else None)
         for key, title in TITLES.items()
     }  # fmt: skip
     views["caption"] = rrb.TextDocumentView(origin=f"{root}/caption", name="Episode")

@@ -18,12 +18,13 @@ from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import Phase, Take
 from toolkit.plan import Plan
-from toolkit.recording.evolution import EvolutionPage, evolution_views
+from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
 from toolkit.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import Cost, Story, story_layout
-from toolkit.recording.stream import APPLICATION, FILM, Stream
+from toolkit.recording.stream import FILM, Stream
+from toolkit.recording.viewer import reader_of
 from toolkit.runs import Run
 from toolkit.simulation.plant import Plant, merged_plant
 from toolkit.transfer import CHECKING_SEEDS
@@ -58,21 +59,33 @@ class Known:
         Raises:
             ToolkitError: it is missing, damaged, or was made in another evolution space.
         """
-        file = self.folder / "tree.json"
-        try:
-            tree = json.loads(file.read_bytes())
-            sizes = {len(node["alpha"]) for node in tree["nodes"]}
-            names = [(edge["from"], edge["to"], edge["length"]) for edge in tree["edges"]]
-        except FileNotFoundError:
-            raise ToolkitError(f"{self.folder} has no tree.json yet; wait until its transfer has begun") from None
-        except (OSError, ValueError, KeyError, TypeError):
-            raise ToolkitError(f"{file} is damaged; start the transfer again under another --run") from None
-        if sizes != {self.merged.space.size} or not names:
+        tree = read_tree(self.folder)
+        sizes = {len(node["alpha"]) for node in tree["nodes"]}
+        if sizes != {self.merged.space.size}:
             raise ToolkitError(
-                f"{file} has {', '.join(map(str, sorted(sizes)))} evolution dimensions, today's robots {self.merged.space.size}: "
-                "the run is of another version; look at its recording without --rebuild"
+                f"{self.folder / 'tree.json'} has {', '.join(map(str, sorted(sizes)))} evolution dimensions, today's robots "
+                f"{self.merged.space.size}: the run is of another version; look at its recording without --rebuild"
             )
         return tree
+
+
+def read_tree(folder: Path) -> dict[str, Any]:
+    """The evolution tree of a run folder.
+
+    Raises:
+        ToolkitError: it is missing or damaged.
+    """
+    file = folder / "tree.json"
+    try:
+        tree = json.loads(file.read_bytes())
+        sound = {len(node["alpha"]) for node in tree["nodes"]} and [(edge["from"], edge["to"], edge["length"]) for edge in tree["edges"]]
+    except FileNotFoundError:
+        raise ToolkitError(f"{folder} has no tree.json yet; wait until its transfer has begun") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        sound = None
+    if not sound:
+        raise ToolkitError(f"{file} is damaged; start the transfer again under another --run")
+    return tree
 
 
 def rebuild(known: Known, out: Path | None = None) -> Cost:
@@ -99,9 +112,9 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
     return cost
 
 
-def save_page(known: Known, page: str, file: Path) -> None:
-    """Save the layout of one page alone, to be opened with a run's recording."""
-    story_layout(Plan(known.tree()), known.merged, page).save(APPLICATION, str(file))
+def page_layout(folder: Path, recording: Path, page: str, excerpt: bool = False) -> rrb.Blueprint:
+    """The layout of one page alone, to be opened with a run's recording, or with an excerpt of it."""
+    return story_layout(Plan(read_tree(folder)), recorded_extent(reader_of(recording).stream()), page, excerpt)
 
 
 def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
@@ -140,7 +153,7 @@ def morph(merged: MergedRobot, source: str, targets: Sequence[str], path: Path, 
     wardrobe = Wardrobe(merged.space.matching)
     casting, plan = Casting(merged, wardrobe), Plan(tree)
     page, scene = EvolutionPage(stream, plan, merged.space), Scene(stream, merged, wardrobe)
-    stream.arrange(pages_layout(lambda: {"scene": robot_view("Robot")} | evolution_views(plan, merged.space), "morph"))
+    stream.arrange(pages_layout(lambda: {"scene": robot_view("Robot")} | evolution_views(plan, alpha_extent(merged.space)), "morph"))
     clock = 0.0
     for number, target in enumerate(targets):
         alphas = _along(plan, source, target, frames)
@@ -172,7 +185,7 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
     middle = (len(sides) - 1) / 2
     offsets = [np.array([0.0, APART * (k - middle), 0.0]) for k in range(len(sides))]
     scene = Scene(stream, merged, wardrobe, offsets)
-    pages = [RolloutsPage(stream, merged.task.goal_tolerance, f"side {k + 1}") for k in range(len(sides))]
+    pages = [RolloutsPage(stream, merged.task.goal_tolerance, _side(k)) for k in range(len(sides))]
     films, casts = [], []
     for _, known, target in sides:
         if target not in known.trained:
@@ -181,7 +194,7 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
         film = shoot(merged_plant(merged, beta, *merged.new()), lambda observation, rng, p=policy: p.mean(observation), seed, beta)
         films.append(film)
         casts.append(casting.playing(film, beta))
-    stream.arrange(_compare_layout([label for label, _, _ in sides], [rollouts_views(page.root) for page in pages]))
+    stream.arrange(compare_layout([label for label, _, _ in sides]))
     times = films[0].interval * np.arange(max(len(film.qpos) for film in films))
     scene.show(times, 0, casts)
     scene.act(times, 0, films)
@@ -193,11 +206,17 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
     return films
 
 
-def _compare_layout(labels: Sequence[str], views: Sequence[dict[str, rrb.View]]) -> rrb.Blueprint:
+def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprint:
+    """The layout of a comparison, or of an excerpt of one."""
+    views = [rollouts_views(_side(k), excerpt) for k in range(len(labels))]
     columns = [rrb.Vertical(view["caption"], view["distance"], view["position"], view["grip"], row_shares=[1, 2, 2, 2], name=label)
                for label, view in zip(labels, views, strict=True)]  # fmt: skip
     scene = robot_view("Side by side, same seed: " + " | ".join(labels), width=1.0 + 0.5 * (len(labels) - 1))
     return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[3, 4]), FILM)
+
+
+def _side(k: int) -> str:
+    return f"side {k + 1}"
 
 
 def _last_phases(known: Known) -> Iterator[Phase]:

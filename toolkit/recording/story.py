@@ -20,7 +20,7 @@ from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import FOLDER, Phase, Take, load_phase
 from toolkit.plan import Plan
-from toolkit.recording.evolution import EvolutionPage, evolution_views
+from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.recording.layout import page_timeline, pages_layout, robot_view
 from toolkit.recording.learning import LearningPage, learning_views
 from toolkit.recording.rollouts import RolloutsPage, rollouts_views
@@ -94,7 +94,7 @@ class Story:
         self.rollouts = RolloutsPage(stream, merged.task.goal_tolerance)
         self.scene = Scene(stream, merged, wardrobe)
         self.summary("The run goes on; this page fills when it ends.")
-        stream.arrange(story_layout(self.plan, merged))
+        stream.arrange(story_layout(self.plan, alpha_extent(merged.space)))
         source = next(name for name, node in self.plan.nodes.items() if node["kind"] == "source")
         self._targets = [name for name, node in self.plan.nodes.items() if node["kind"] == "target"]
         start = np.array(self.plan.nodes[source]["alpha"])
@@ -236,13 +236,13 @@ class Story:
                 f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")  # fmt: skip
 
 
-def story_layout(plan: Plan, merged: MergedRobot, page: str | None = None) -> rrb.Blueprint:
-    """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best."""
+def story_layout(plan: Plan, extent: Extent | None, page: str | None = None, excerpt: bool = False) -> rrb.Blueprint:
+    """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best, or of an excerpt."""
 
     def views() -> dict[str, rrb.View]:
         own = {"scene": robot_view("Episode: goal, trail, OSC target, contact forces"),
                "summary": rrb.TextDocumentView(origin="summary", name="Summary")}  # fmt: skip
-        return evolution_views(plan, merged.space) | learning_views() | rollouts_views() | own
+        return evolution_views(plan, extent) | learning_views() | rollouts_views(whole=excerpt) | own
 
     return pages_layout(views, page, page_timeline(page))
 

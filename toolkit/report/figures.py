@@ -5,7 +5,6 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -24,12 +23,14 @@ PANELS = {
     "diverged": (None, "diverged", "Diverged simulations"),
 }
 """Key -> event that tells it (None: every record), its key there, and the title of its panel."""
+PAGE = 4.8
+"""[inch] of a figure: as wide as a phone in points, so that its letters can be read there too."""
 
 
 def png(figure: Figure) -> bytes:
     """The figure as a PNG."""
     out = BytesIO()
-    figure.savefig(out, format="png", dpi=130)
+    figure.savefig(out, format="png", dpi=160)
     return out.getvalue()
 
 
@@ -46,7 +47,7 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
         plan: the tree.
         walked: (from, to, share of the edge that is done, success or None) of every edge with a path on it.
     """
-    figure = _figure(7.0, 1.2 + 0.75 * len(plan.nodes))
+    figure = _figure(PAGE, 0.9 + 0.55 * len(plan.nodes))
     axes = figure.subplots()
     for edge in plan.edges:
         line = plan.stretch(edge, 0.0, 1.0)
@@ -62,9 +63,10 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
     for name, node in plan.nodes.items():
         marker = {"source": "s", "meta": "D", "target": "o"}[node["kind"]]
         axes.plot(*plan.places[name], marker, color="white", markeredgecolor="black", markersize=9, zorder=3)
-        axes.annotate(name, plan.places[name], xytext=(8, 8), textcoords="offset points", fontsize=9, weight="bold", zorder=4)
-    axes.set_title("Evolution tree to scale (square: source, diamonds: meta robots, circles: targets)", fontsize=9, loc="left")
-    axes.margins(x=0.12, y=0.2)
+        left = node["kind"] == "source"
+        axes.annotate(name, plan.places[name], xytext=(-8 if left else 8, 8), textcoords="offset points", fontsize=9, weight="bold",
+                      ha="right" if left else "left", zorder=4)  # fmt: skip
+    axes.margins(x=0.2, y=0.2)
     axes.invert_yaxis()
     axes.set_axis_off()
     return figure
@@ -72,7 +74,7 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
 
 def projection_figure(plan: Plan, ways: Sequence[np.ndarray]) -> Figure:
     """The tree and the paths walked, (n, D) robots each, in the plane of most variance."""
-    figure = _figure(5.0, 4.0)
+    figure = _figure(PAGE, 0.8 * PAGE)
     axes = figure.subplots()
     index = {name: plan.project(np.array(node["alpha"]))[0] for name, node in plan.nodes.items()}
     for edge in plan.edges:
@@ -95,7 +97,7 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
     """alpha of robots (D,) as matrices: a row per joint or shape, a column per quantity, white 0 to black 1."""
     places, rows, columns = matrix(space)
     width = int(places[:, 0].max()) + 1
-    figure = _figure(2.0 + 3.3 * min(len(robots), 2), 0.5 + (0.155 * len(rows) + 1.0) * ((len(robots) + 1) // 2))
+    figure = _figure(PAGE, (0.1 * len(rows) + 0.9) * ((len(robots) + 1) // 2))
     panels = np.atleast_1d(figure.subplots((len(robots) + 1) // 2, min(len(robots), 2), sharex=True, sharey=True)).ravel()
     for axes, (name, alpha) in zip(panels, robots.items(), strict=False):
         image = np.full((len(rows), width), np.nan)
@@ -105,8 +107,8 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
         for line in range(1, len(rows)):
             axes.axhline(line - 0.5, color="white", linewidth=0.4)
         axes.set_title(name, fontsize=9, loc="left")
-        axes.set_yticks(range(len(rows)), rows, fontsize=6)
-        axes.set_xticks(list(columns.values()), list(columns), rotation=90, fontsize=6)
+        axes.set_yticks(range(len(rows)), rows, fontsize=4)
+        axes.set_xticks(list(columns.values()), list(columns), rotation=90, fontsize=4)
         axes.tick_params(length=0)
     for axes in panels[len(robots) :]:
         axes.set_axis_off()
@@ -114,27 +116,35 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
 
 
 def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
-    """Learning curves over the run's records, one line per path."""
-    figure = _figure(8.0, 6.2)
-    panels = figure.subplots(3, 2, sharex=True)
+    """Learning curves over the run's records, one line per path; hollow: a robot too far away, a shorter step follows."""
+    told = lambda event, name: any(event in (None, r["event"]) and r.get(name) is not None for r in records)  # noqa: E731
+    shown = {key: panel for key, panel in PANELS.items() if told(*panel[:2])} or {"success": PANELS["success"]}
+    figure = _figure(PAGE, 0.5 + 1.4 * len(shown))
+    panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     paths = list(dict.fromkeys(record["path"] for record in records))
-    for axes, (key, (event, name, title)) in zip(panels.ravel(), PANELS.items(), strict=True):
+    for axes, (key, (event, name, title)) in zip(panels, shown.items(), strict=True):
         for k, path in enumerate(paths):
             points = [(i, record[name]) for i, record in enumerate(records)
                       if record["path"] == path and event in (None, record["event"]) and record.get(name) is not None]  # fmt: skip
             if points:
                 axes.plot(*zip(*points, strict=True), color=COLOURS[k % 8], linestyle=DASHES[k % 8], marker=MARKERS[k % 8], markersize=3.5,
                           linewidth=1.3, label=path)  # fmt: skip
+            short = [(i, record[name]) for i, record in enumerate(records) if record["path"] == path and event == record["event"] == "check"
+                     and record.get("held") is False]  # fmt: skip
+            if short:
+                axes.plot(*zip(*short, strict=True), linestyle="", marker=MARKERS[k % 8], markersize=3.5, color=COLOURS[k % 8],
+                          markerfacecolor="white", zorder=3)  # fmt: skip
         if not axes.lines:
-            axes.annotate("none in this run", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=8, color="#666666")
+            axes.annotate("none yet", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=8, color="#666666")
         if "success" in key:
             axes.set_ylim(-0.04, 1.04)
         axes.set_title(title, fontsize=9, loc="left")
         axes.tick_params(labelsize=7)
         axes.grid(color="#dddddd", linewidth=0.6)
-    for axes in panels[-1]:
-        axes.set_xlabel("record of metrics.jsonl", fontsize=8)
-    _legend(panels[0, 0])
+    panels[-1].set_xlabel("record of metrics.jsonl", fontsize=8)
+    lines = {line.get_label(): line for axes in panels for line in axes.lines if not line.get_label().startswith("_")}
+    if lines:
+        figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=4, fontsize=7, frameon=False)
     return figure
 
 
@@ -142,7 +152,7 @@ def strip_figure(title: str, pictures: Sequence[np.ndarray], shares: Sequence[fl
     """Stills (h, w, 3) in two rows of four, each with how far along the path it is."""
     columns = 4
     rows = (len(pictures) + columns - 1) // columns
-    figure = _figure(8.0, 0.35 + 2.1 * rows)
+    figure = _figure(PAGE, 0.3 + 1.35 * rows)
     panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes in panels:
         axes.set_axis_off()
@@ -151,8 +161,3 @@ def strip_figure(title: str, pictures: Sequence[np.ndarray], shares: Sequence[fl
         axes.set_title(f"{share:.0%}", fontsize=8)
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
-
-
-def _legend(axes: Axes) -> None:
-    if axes.lines:
-        axes.legend(fontsize=7, frameon=False, loc="lower left")

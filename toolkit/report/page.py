@@ -25,7 +25,7 @@ STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #111; background: #fff; margin: 0 auto; max-width: 54rem; padding: 1rem; }
 h1 { font-size: 1.5rem; line-height: 1.25; } h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #bbb; }
-img { max-width: 100%; height: auto; display: block; margin: .5rem 0; }
+img { width: 100%; max-width: 40rem; height: auto; display: block; margin: .5rem 0; }
 figure { margin: 0; } figcaption { color: #444; font-size: .9rem; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th, td { border-bottom: 1px solid #ccc; padding: .3rem .6rem; text-align: left; vertical-align: top; }
@@ -127,9 +127,12 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     config = run.config
     title = f"{config.get('source', '?')} to {', '.join(config.get('targets', []))}: {config.get('task', '?')}"
     parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(config, records, report)]
-    parts += ["<h2>Evolution tree</h2>", _figure(pictures, "tree", "Thick: walked; the darker, the more success. Thin: planned.")]
+    legend = ("To scale, lengths on the edges. Square: source; diamonds: meta robots; circles: targets. Thick: walked; the darker, the "
+              "more success. Thin: planned.")  # fmt: skip
+    parts += ["<h2>Evolution tree</h2>", _figure(pictures, "tree", legend)]
     parts += [_figure(pictures, "projection", "The tree and the walked paths in the plane in which the robots differ most.")]
-    parts += ["<h2>Learning</h2>", _figure(pictures, "curves", "One line per path."), _paths(records), _trouble(phases)]
+    legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
+    parts += ["<h2>Learning</h2>", _figure(pictures, "curves", legend), _paths(records), _trouble(phases)]
     parts += ["<h2>Robots on their way</h2>"]
     parts += [f'<p class="note">{html.escape(missing)}</p>'] if missing else []
     parts += [_figure(pictures, name, "") for name in pictures if name.startswith("morph-")]
