@@ -178,6 +178,9 @@ def test_tree_projection_and_alpha(rows, small):
     tree = small.tree("l1", "steiner").to_json()
     labels = {label for row in rows["/evolution/tree/names"] for label in row["Points2D:labels"]}
     assert {"adroit (source)", "jaco (target)"} == labels
+    names = rows["/evolution/tree/names"][0]
+    across = dict(zip(names["Points2D:labels"], (place[0] for place in names["Points2D:positions"]), strict=True))
+    assert across["adroit (source)"] == 0 and across["jaco (target)"] > 1000, "names stand at their nodes"
     assert rows["/evolution/tree/lengths"][0]["Points2D:labels"] == [f"{tree['edges'][0]['length']:.1f}"]
     cells = [row for row in rows["/evolution/alpha/cells"] if "film" in row]
     assert len(cells[0]["Points2D:positions"]) == small.space.size == len(cells[0]["Points2D:colors"])
@@ -283,6 +286,25 @@ def test_a_run_without_phases_shows_its_last_policies(tmp_path, known):
     cost = shows.rebuild(shows.Known(old, known.merged, known.policy, known.native, known.trained))
     assert cost.drawn == 2
     assert any("at 100% of adroit to jaco" in row["TextDocument:text"][0] for row in entities(old / "recording.rrd")["/signals/caption"])
+
+
+def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
+    """Its last phase has no end and no record: the episodes that it holds are played all the same."""
+    import shutil
+
+    stuck = tmp_path / "stuck"
+    shutil.copytree(known.folder, stuck, ignore=shutil.ignore_patterns("*.rrd"))
+    for file in stuck.glob("phases/path-1-00[12]*"):
+        file.unlink()
+    records = (stuck / "metrics.jsonl").read_text().splitlines(keepends=True)
+    (stuck / "metrics.jsonl").write_text("".join(records[:2]))
+    played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
+                   lambda observation, rng: known.policy.mean(observation), 11, known.merged.space.betas[1])]  # fmt: skip
+    Witness(stuck, {"path 1": 1}).saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], known.policy, played, False, 0)
+    cost = shows.rebuild(shows.Known(stuck, known.merged, known.policy, known.native, {}))
+    assert cost.drawn == cost.known == 3, "two episodes of the phase that ended, one of the phase that did not"
+    texts = [row["TextDocument:text"][0] for row in entities(stuck / "recording.rrd")["/signals/caption"]]
+    assert any("phase 1 (evolve)" in text and "seed 11" in text for text in texts)
 
 
 def test_a_run_without_any_path_done_is_shown(tmp_path, known):

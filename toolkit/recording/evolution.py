@@ -4,7 +4,7 @@
     evolution/tree/done, here      what has been walked, coloured by success, and where the robot is
     evolution/pca2/..., pca3/...   the same in the plane and in space of most variance
     evolution/alpha/cells, names   every dimension of alpha as a dot: a row per joint or shape, a column per quantity
-    evolution/changes              the largest changes of parameters, in words
+    evolution/changes              what has changed since the source, quantity by quantity
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,8 +30,6 @@ HEAD_ROW = 1.1 * LINE
 """Distance of the rows in which the heads of its columns stand, in columns."""
 LETTER = 0.78
 """Width of a letter beside the heat map, in columns."""
-LARGEST = 14
-"""Changes that are spelled out."""
 
 
 def success_colour(success: float | None) -> tuple[int, int, int]:
@@ -116,8 +114,8 @@ class EvolutionPage:
         lengths = [f"{edge['length']:.1f}" for edge in plan.edges]
         put("evolution/tree/lengths", rr.Points2D(middles, labels=lengths, colors=UNKNOWN, radii=speck, show_labels=True))
         put("evolution/tree/nodes", rr.Points2D([plan.places[n] for n in names], colors=colours, radii=dot))
-        beside = [(x + (24 + 7.5 * len(label) if kind == "target" else 0), y - (0.13 * ROW if kind == "target" else 0))
-                  for (x, y), label, kind in zip(plan.places.values(), labels, kinds, strict=True)]  # fmt: skip
+        aside = [(24 + 7.5 * len(label), -0.13 * ROW) if kind == "target" else (0, 0) for label, kind in zip(labels, kinds, strict=True)]
+        beside = np.array([plan.places[name] for name in names]) + aside
         put("evolution/tree/names", rr.Points2D(beside, labels=labels, colors=TEXT, radii=speck, show_labels=True))
         put("evolution/tree/here", rr.Points2D.from_fields(colors=HERE, radii=big))
         spots = plan.project(np.array([plan.nodes[name]["alpha"] for name in names]))
@@ -147,22 +145,26 @@ class EvolutionPage:
         put("evolution/alpha/leaders", rr.LineStrips2D(leaders, colors=PLANNED, radii=rr.Radius.ui_points(0.4)))
 
     def _changes(self, alpha: np.ndarray) -> str:
-        """The largest changes of parameters since the source, as Markdown."""
-        change = alpha - self.space.betas[0]
-        rows = []
+        """What has changed since the source, as Markdown: a line per quantity, with its largest change in physical units."""
+        change = np.abs(alpha - self.space.betas[0])
+        found: dict[str, tuple[set[int], float, str]] = {}
         for parameter in self.space.parameters:
+            if change[parameter.dimension] < 1e-9:
+                continue
             low, high = parameter.low, parameter.high
             share = 1.0 - alpha[parameter.dimension] if parameter.flipped else alpha[parameter.dimension]
-            rows.append((abs(change[parameter.dimension]), parameter.name, parameter.values[0], low + share * (high - low), parameter.unit))
-        rows.sort(key=lambda row: (-row[0], row[1]))
-        seen: dict[str, None] = {}
-        lines = ["| largest changes | source | now | unit |", "|---|---|---|---|"]
-        for size, name, before, now, unit in rows:
-            family = name.split(".")[0].split("/")[0] + name.split(".")[-1]
-            if size > 1e-9 and family not in seen and len(lines) < LARGEST + 2:
-                seen[family] = None
-                lines.append(f"| {name} | {before:.3g} | {now:.3g} | {unit} |")
-        return "\n".join(lines) if len(lines) > 2 else "Nothing has changed yet: this is the source."
+            size = change[parameter.dimension] * (high - low)
+            item, _, quantity = parameter.name.partition(".")
+            quantity = (quantity or item).split(".")[0]
+            dimensions, largest, line = found.get(quantity, (set(), -1.0, ""))
+            if size > largest:
+                largest, line = size, f"{parameter.name} | {parameter.values[0]:.3g} | {low + share * (high - low):.3g} | {parameter.unit}"
+            found[quantity] = dimensions | {parameter.dimension}, largest, line
+        if not found:
+            return "Nothing has changed yet: this is the source."
+        lines = [f"| {quantity} | {len(dimensions)} | {line} |" for quantity, (dimensions, _, line) in found.items()]
+        head = ["| changed since the source | dimensions | the largest | source | now | unit |", "|---|---|---|---|---|---|"]
+        return "\n".join([*head, *lines])
 
 
 DARK = (22, 24, 28)
@@ -227,7 +229,7 @@ def evolution_views(plan: Plan, extent: Extent | None) -> dict[str, rrb.View]:
             visual_bounds=_around(spots[:, :2] * (1, -1), (3.5, 2.0))),
         "pca3": rrb.Spatial3DView(
             origin="evolution/pca3", name=f"3 components: {sum(share[:3]):.0%} of the variance", background=DARK, line_grid=False,
-            eye_controls=rrb.EyeControls3D(position=(12.0, -16.0, 12.0), look_target=spots.mean(axis=0), eye_up=(0.0, 0.0, 1.0))),
+            eye_controls=rrb.EyeControls3D(position=(15.0, -21.0, 15.0), look_target=spots.mean(axis=0), eye_up=(0.0, 0.0, 1.0))),
     }  # fmt: skip
     if extent is not None:
         size, left, right, top, bottom = extent

@@ -61,7 +61,7 @@ def _page(name: str, views: dict[str, rrb.View]) -> rrb.Container | None:
         return rrb.Horizontal(robot, rrb.Vertical(*have("tree", "changes"), row_shares=[2, 3]), column_shares=[3, 2], name="Morph")
     if name == "rollouts" and "scene" in views:
         left = rrb.Vertical(views["scene"], *have("caption"), row_shares=[4, 1])
-        right = rrb.Vertical(*have("distance", "position", "action", "grip", "reward"))
+        right = rrb.Vertical(*have("distance", "position", "action", "grip", "reward"), row_shares=[2, 3, 3, 2, 2])
         return rrb.Horizontal(left, right, column_shares=[5, 4], name="Rollouts")
     if name == "learning":
         keys = have("success", "train_success", "mean_return", "kl", "sim_epochs", "train_iterations", "diverged", "wall")

@@ -18,7 +18,7 @@ BLUE, ORANGE, GREEN, VERMILION, GREY, SKY, PINK = (
 )  # fmt: skip
 LINES = {
     "position": (("x wanted", SKY), ("y wanted", ORANGE), ("z wanted", PINK), ("x", BLUE), ("y", VERMILION), ("z", GREEN)),
-    "action": (("dx", BLUE), ("dy", VERMILION), ("dz", GREEN), ("rx", SKY), ("ry", ORANGE), ("rz", PINK), ("close", (20, 20, 20))),
+    "action": (("dx", BLUE), ("dy", VERMILION), ("dz", GREEN), ("rx", SKY), ("ry", ORANGE), ("rz", PINK), ("close", (150, 150, 150))),
     "distance": (("object to goal [m]", BLUE), ("tolerance [m]", GREY)),
     "grip": (("robot on object [N]", VERMILION),),
     "reward": (("reward", GREEN), ("closing progress", ORANGE)),

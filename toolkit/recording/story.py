@@ -85,6 +85,7 @@ class Story:
         self.clock, self.iteration = 0.0, 0
         self._paths: dict[str, dict[str, Any]] = {}  # path -> targets, phases ended, last success
         self._waiting: list[tuple[Phase, Take]] = []
+        self._shown: set[str] = set()  # names of phases
         self._longest = 0.0
         wardrobe = Wardrobe(merged.space.matching)
         self._casting = Casting(merged, wardrobe)
@@ -133,8 +134,9 @@ class Story:
         self.stream.static("summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def finish(self) -> Cost:
-        """Play what is still allowed, close the recording, and say what it cost."""
+        """Show where the run stands, play what is still allowed, close the recording, and say what it cost."""
         self._busy_since = time.perf_counter()
+        self._show_going()
         self._play_waiting()
         self.learning.repeat(self.clock, self.clock + 1.0)
         self.stream.close()
@@ -161,6 +163,16 @@ class Story:
             return  # a run of an older version, or a folder without its phases: the curves still tell the run
         self._show_phase(phase, path, state["success"])
 
+    def _show_going(self) -> None:
+        """Phases that have not ended: in a run that goes on, or was stopped, they hold what it is stuck on."""
+        for path, state in self._paths.items():
+            for file in sorted((self.folder / FOLDER).glob(f"{path.replace(' ', '-')}-*.safetensors")):
+                if file.stem not in self._shown:
+                    try:
+                        self._show_phase(load_phase(file), path, state["success"])
+                    except ToolkitError:
+                        continue  # cut off with the process that wrote it
+
     def append(self, phase: Phase) -> None:
         """A phase that no record tells of."""
         self._busy_since = time.perf_counter()
@@ -169,6 +181,7 @@ class Story:
         self._rest()
 
     def _show_phase(self, phase: Phase, path: str, success: float | None) -> None:
+        self._shown.add(phase.name)
         end = phase.start if phase.end is None else phase.end
         if not np.array_equal(phase.start, end):
             count = max(2, int(MORPH_RATE * MORPH_SECONDS))
