@@ -34,11 +34,12 @@ ROOTS = {
 CURVE, MESH, PLACES, TURNS, FADE = (
     "Scalars:scalars", "Mesh3D:vertex_positions", "InstancePoses3D:translations", "InstancePoses3D:quaternions", "Mesh3D:albedo_factor",
 )  # fmt: skip
+ALWAYS = np.iinfo(np.int64).min
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a component of an entity is at the moment: the component, its values, and since when [ns]."""
+    """What a component of an entity is at the moment: the component, its values, and since when [ns], ALWAYS if it is static."""
 
     descriptor: rr.ComponentDescriptor
     values: pa.Array
@@ -74,23 +75,24 @@ def excerpt(file: Path, page: str, at: float, layout: rrb.Blueprint, out: Path) 
     timeline = page_timeline(page)
     shown = [chunk for chunk in _chunks(file) if chunk.entity_path.startswith(ROOTS[page])]
     state: dict[str, dict[str, Part]] = {}
-    curves: list[tuple[str, np.ndarray, pa.Array]] = []
+    curves: list[tuple[str, np.ndarray, list[np.ndarray]]] = []
     for chunk in shown:
-        batch, entity = chunk.to_record_batch(), chunk.entity_path.replace("\\", "")
+        batch, entity = chunk.to_record_batch(), chunk.entity_path
         stamps = _stamps(batch, timeline)
         if CURVE in batch.schema.names:
-            if stamps.size:
-                curves.append((entity, stamps, batch.column(CURVE)))
+            curves += _kept(entity, stamps, batch.column(CURVE), at, timeline)
         elif stamps.size or chunk.is_static:
             _update(state.setdefault(entity, {}), batch, stamps, int(at * 1e9))
-    if not any(part.since >= 0 for parts in state.values() for part in parts.values()) and not curves and page != "summary":
+    moving = any(part.since > ALWAYS for parts in state.values() for part in parts.values())
+    if not moving and not curves and page != "summary":
         raise ToolkitError(f"{file} shows nothing of the page {page} at {at:g}; choose another --at, or remake it with --rebuild")
     stream = Stream(out)
     stream.arrange(layout)
     for entity, parts in _baked(state):
         stream.static(entity, [rr.DescribedComponentBatch(part, part.descriptor) for part in parts.values()])
-    for entity, stamps, values in curves:
-        _keep_curve(stream, entity, stamps, values, at, timeline)
+    for entity, stamps, rows in curves:
+        columns = rr.Scalars.columns(scalars=np.concatenate(rows)).partition([len(row) for row in rows])
+        stream.rows(entity, *((1e-9 * stamps, None) if timeline == FILM else (None, stamps)), columns)
     stream.close()
 
 
@@ -106,9 +108,9 @@ def _stamps(batch: pa.RecordBatch, timeline: str) -> np.ndarray:
 
 
 def _update(parts: dict[str, Part], batch: pa.RecordBatch, stamps: np.ndarray, at: int) -> None:
-    """Take from a chunk what holds at a moment [ns]; what is static holds from -1 on."""
+    """Take from a chunk what holds at a moment [ns]."""
     if not stamps.size:
-        stamps = np.full(batch.num_rows, -1)
+        stamps = np.full(batch.num_rows, ALWAYS)
     for field, column in zip(batch.schema, batch.columns, strict=True):
         about = field.metadata or {}
         if about.get(b"rerun:kind") != b"data":
@@ -123,17 +125,14 @@ def _update(parts: dict[str, Part], batch: pa.RecordBatch, stamps: np.ndarray, a
             parts[field.name] = Part(rr.ComponentDescriptor(*names), column[int(row)].values, int(stamps[row]))
 
 
-def _keep_curve(stream: Stream, entity: str, stamps: np.ndarray, values: pa.Array, at: float, timeline: str) -> None:
-    """The rows of a curve around the moment; on the iterations all up to it."""
-    low, high = (at - WINDOW, at + WINDOW) if timeline == FILM else (-np.inf, at)
-    scale = 1e-9 if timeline == FILM else 1
-    kept = [row for row in np.argsort(stamps, kind="stable") if low <= scale * stamps[row] <= high and values[int(row)].is_valid]
-    if not kept:
-        return
-    rows = [np.asarray(values[int(row)].values) for row in kept]
-    columns = rr.Scalars.columns(scalars=np.concatenate(rows)).partition([len(row) for row in rows])
-    film, iteration = (scale * stamps[kept], None) if timeline == FILM else (None, stamps[kept])
-    stream.rows(entity, film, iteration, columns)
+def _kept(
+    entity: str, stamps: np.ndarray, values: pa.Array, at: float, timeline: str
+) -> Iterator[tuple[str, np.ndarray, list[np.ndarray]]]:
+    """The rows of a curve around the moment, on the iterations all up to it, with their stamps; nothing if there are none."""
+    low, high = (1e9 * (at - WINDOW), 1e9 * (at + WINDOW)) if timeline == FILM else (0, at)
+    kept = [row for row in np.argsort(stamps, kind="stable") if low <= stamps[row] <= high and values[int(row)].is_valid]
+    if kept:
+        yield entity, stamps[kept], [np.asarray(values[int(row)].values) for row in kept]
 
 
 def _baked(state: dict[str, dict[str, Part]]) -> Iterator[tuple[str, dict[str, Part]]]:

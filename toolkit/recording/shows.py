@@ -216,7 +216,7 @@ def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprin
 
 
 def _side(k: int) -> str:
-    return f"side {k + 1}"
+    return f"side-{k + 1}"
 
 
 def _last_phases(known: Known) -> Iterator[Phase]:
