@@ -1,6 +1,7 @@
 """view, morph, report, replay, doctor: looking at a run, at robots turning into robots, at what went wrong, at the installation."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -58,7 +59,7 @@ def view(
     if live:
         _follow(path[0])
         return
-    file = path[0]
+    file = path[0] / "recording.rrd" if path[0].is_dir() else path[0]
     if compare:
         cut = out if at is not None and still is None else None
         file = path[0] / f"compare-{'-'.join(compare)}.rrd" if cut or out is None else out
@@ -68,18 +69,25 @@ def view(
         if cut is not None:
             excerpt.excerpt(file, "compare", at, shows.compare_layout([label for label, _, _ in sides], True), cut)
     elif rebuild:
-        file = path[0] / "recording.rrd" if out is None or page is not None else out
+        file = file if out is None or page is not None else out
         print(str(shows.rebuild(_known(path[0]), file)))
     files = [viewer.recording_of(file)]
-    if page is not None and not compare:
-        if out is not None:
-            moment = excerpt.moment_of(files[0], at, page)
-            excerpt.excerpt(files[0], page, moment, shows.page_layout(_folder(path[0]), files[0], page, True), out)
-        else:
-            files.append(_folder(path[0]) / f"{page}.rbl")
-            shows.page_layout(files[-1].parent, files[0], page).save(stream.APPLICATION, str(files[-1]))
+    alone = page is not None and not compare
+    if alone and (still or out):
+        with TemporaryDirectory() as folder:
+            moment = excerpt.moment_of(file, at, page)
+            cut = out or Path(folder) / f"{page}.rrd"
+            excerpt.excerpt(file, page, moment, shows.page_layout(_folder(path[0]), file, page, True), cut)
+            if still is not None:  # of the excerpt: there at once, and its curves have a cursor to show the moment
+                moves = page in ("rollouts", "learning")
+                viewer.still([cut], still, moment if moves else None, size, "iteration" if page == "learning" else "film")
+        print(still or out)
+        return
+    if alone:
+        files.append(_folder(path[0]) / f"{page}.rbl")
+        shows.page_layout(files[-1].parent, file, page).save(stream.APPLICATION, str(files[-1]))
     if still is not None:
-        viewer.still(files, still, at, size, "iteration" if page == "learning" else "film")
+        viewer.still(files, still, at, size)
         print(still)
     elif out is not None:
         print(out)

@@ -13,11 +13,9 @@ EYE = (np.array([0.52, -0.92, 1.45]), np.array([-0.22, 0.0, 1.08]))
 """Where the robot is seen from, and the point looked at [m]."""
 
 
-def robot_view(name: str, width: float = 1.0, centre: np.ndarray | None = None) -> rrb.Spatial3DView:
-    """The scene from in front of the robot; ``width`` steps back for several robots around ``centre`` (3,) [m]."""
-    position, target = EYE
-    shift = np.zeros(3) if centre is None else centre
-    eye = rrb.EyeControls3D(position=target + width * (position - target) + shift, look_target=target + shift, eye_up=(0.0, 0.0, 1.0))
+def robot_view(name: str, eye: tuple[np.ndarray, np.ndarray] = EYE) -> rrb.Spatial3DView:
+    """The scene from somewhere, looking at some point (3,) [m]; by default from beside the robot."""
+    eye = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=(0.0, 0.0, 1.0))
     return rrb.Spatial3DView(origin="scene", name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
 
 

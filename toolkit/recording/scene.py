@@ -214,7 +214,8 @@ class Scene:
         robots = np.array([worn[user].robot for user in users])
         positions = np.concatenate([cast.positions[:, users] for cast in casts], axis=1)
         quaternions = np.concatenate([cast.quaternions[:, users] for cast in casts], axis=1)
-        seen = np.concatenate([_seen(cast, users, robots) for cast in casts], axis=1)
+        faint = FAINT if len(casts) == 1 else 0.5  # one opacity serves all instances: of robots side by side, no ghosts
+        seen = np.concatenate([_seen(cast, users, robots, faint) for cast in casts], axis=1)
         if not seen.any():
             if self._shown.get(mesh, True):
                 times, seen, positions, quaternions = times[:1], seen[:1], positions[:1], quaternions[:1]
@@ -271,9 +272,9 @@ def _z_axes(quaternions: np.ndarray) -> np.ndarray:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def _seen(cast: Cast, users: list[int], robots: np.ndarray) -> np.ndarray:
+def _seen(cast: Cast, users: list[int], robots: np.ndarray, faint: float) -> np.ndarray:
     """(T, n_users): which instances of a mesh are drawn; of two in the same place, as arms that robots share, one."""
-    seen = cast.weights[:, robots] > FAINT
+    seen = cast.weights[:, robots] > faint
     for later in range(1, len(users)):
         for earlier in range(later):
             if robots[earlier] != robots[later]:

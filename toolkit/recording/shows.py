@@ -31,8 +31,10 @@ from toolkit.transfer import CHECKING_SEEDS
 
 POLL = 1.0
 """[s] between two looks at a running transfer's folder."""
-APART = 1.3
+APART = 1.1
 """[m] between two robots that stand side by side."""
+FRONT = np.array([1.35, 0.0, 1.6]), np.array([-0.25, 0.0, 1.08])
+"""Where robots side by side are seen from, and the point looked at [m]."""
 
 
 @dataclass(frozen=True)
@@ -211,8 +213,8 @@ def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprin
     views = [rollouts_views(_side(k), excerpt) for k in range(len(labels))]
     columns = [rrb.Vertical(view["caption"], view["distance"], view["position"], view["grip"], row_shares=[1, 2, 2, 2], name=label)
                for label, view in zip(labels, views, strict=True)]  # fmt: skip
-    scene = robot_view("Side by side, same seed: " + " | ".join(labels), width=1.0 + 0.5 * (len(labels) - 1))
-    return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[3, 4]), FILM)
+    scene = robot_view("Side by side, same seed: " + " | ".join(labels), FRONT)
+    return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[5, 6]), FILM)
 
 
 def _side(k: int) -> str:
