@@ -59,7 +59,7 @@ def view(
     if live:
         _follow(path[0])
         return
-    file = path[0] / "recording.rrd" if path[0].is_dir() else path[0]
+    file = path[0]
     if compare:
         cut = out if at is not None and still is None else None
         file = path[0] / f"compare-{'-'.join(compare)}.rrd" if cut or out is None else out
@@ -69,9 +69,10 @@ def view(
         if cut is not None:
             excerpt.excerpt(file, "compare", at, shows.compare_layout([label for label, _, _ in sides], True), cut)
     elif rebuild:
-        file = file if out is None or page is not None else out
+        file = out if out is not None and page is None else path[0] / "recording.rrd"
         print(str(shows.rebuild(_known(path[0]), file)))
-    files = [viewer.recording_of(file)]
+    file = viewer.recording_of(file)
+    files = [file]
     alone = page is not None and not compare
     if alone and (still or out):
         with TemporaryDirectory() as folder:
