@@ -273,8 +273,8 @@ def _compare_baked(told, rows, at):
 
 def test_an_excerpt_of_nothing_gets_one_sentence(tmp_path, rebuilt, known):
     layout = shows.page_layout(known.folder, rebuilt[0], "rollouts", True)
-    with pytest.raises(ToolkitError, match="shows nothing of the page rollouts at -1"):
-        excerpt.excerpt(rebuilt[0], "rollouts", -1.0, layout, tmp_path / "a.rrd")
+    with pytest.raises(ToolkitError, match="shows nothing of the page rollouts at -100"):
+        excerpt.excerpt(rebuilt[0], "rollouts", -100.0, layout, tmp_path / "a.rrd")
 
 
 def test_a_run_without_phases_shows_its_last_policies(tmp_path, known):

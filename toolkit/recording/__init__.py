@@ -2,10 +2,11 @@
 
     programs    where the viewer is
     stream      one .rrd file, or a viewer; the timelines "film" and "iteration"
+    viewer      opening, serving, taking stills, reading back
     scene       robots in 3-D, every mesh once
     evolution, learning, rollouts    one page each
     layout      the pages as tabs
     story       a run told record by record
     shows       whole recordings: of a run, of a morph, of two robots side by side
-    viewer      opening, serving, taking stills, reading back
+    excerpt     one page at one moment, as a small recording of its own
 """

@@ -28,6 +28,8 @@ LINE = 1.65
 """Distance of the heat map's rows, in columns."""
 HEAD_ROW = 1.1 * LINE
 """Distance of the rows in which the heads of its columns stand, in columns."""
+TABLES = 8
+"""Frames between two tables of what has changed."""
 LETTER = 0.78
 """Width of a letter beside the heat map, in columns."""
 
@@ -73,8 +75,9 @@ class EvolutionPage:
             colours = heat(alphas).reshape(-1, 3)
             self.stream.rows("evolution/alpha/cells", film, iteration, rr.Points2D.columns(
                 positions=np.tile(self._cells, (count, 1)), colors=colours).partition([len(self._cells)] * count))  # fmt: skip
-            text = rr.TextDocument(self._changes(alphas[-1]), media_type=rr.MediaType.MARKDOWN)
-            self.stream.row("evolution/changes", float(film[-1]), iteration, text)
+            for k in sorted({*range(0, count, TABLES), count - 1}):
+                text = rr.TextDocument(self._changes(alphas[k]), media_type=rr.MediaType.MARKDOWN)
+                self.stream.row("evolution/changes", float(film[k]), iteration, text)
 
     def walked(
         self, film: float, iteration: int, start: np.ndarray, end: np.ndarray, targets: Sequence[str], success: float | None

@@ -19,6 +19,8 @@ WEB_PORT, VIEWER_PORT = 9090, 9876
 STILL_SIZE = "1600x1000"
 STILL_PATIENCE = 180.0
 """[s] that a viewer without a screen may take to show a recording."""
+SETTLING = 6.0
+"""[s] until meshes and texts are loaded, frame by frame, and the viewer's own notices are gone."""
 
 
 def has_display() -> bool:
@@ -119,7 +121,7 @@ def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str,
             if _shows(client):
                 if moment:
                     client.set_time(timeline, **moment, play_state="paused")
-                time.sleep(3.0)  # meshes and texts are loaded frame by frame
+                time.sleep(SETTLING)
                 client.take_screenshot()
                 return client.take_screenshot()
         except (TimeoutError, RuntimeError, ConnectionError) as error:
