@@ -19,6 +19,7 @@ from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
 from toolkit.expert import (
     DEMONSTRATION_SEEDS,
     OBSERVATION_NOISE,
+    RECORDED,
     SHIPPED,
     ExpertConfig,
     NoisyScript,
@@ -28,10 +29,13 @@ from toolkit.expert import (
     load_expert,
     new_learner,
     save_expert,
+    shipped_experts,
+    shipped_pair,
     train_expert,
 )
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs import Run
 
 SOURCE = "adroit"
@@ -163,8 +167,15 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     """With recorded teachers, whose demonstrations pull the updates; killed once before cloning and once between updates."""
     config = ExpertConfig(demonstrations=3, copies=1, rounds=1, visits=2, updates=2, cloning=CloningConfig(epochs=2),
                           npg=NpgConfig(batch_size=2))  # fmt: skip
-    teachers = [PickScript(), PickScript(hover=0.05)]
-    whole = train_expert(engine, SOURCE, config, teachers=teachers, run=Run.create(tmp_path / "whole", {}))
+    asked = []
+
+    def teachers():
+        asked.append(len(Run.open(run).checkpoints()))
+        return [PickScript(), PickScript(hover=0.05)], {"recordings": 2}
+
+    run = tmp_path / "whole"
+    whole = train_expert(engine, SOURCE, config, teachers=teachers, run=Run.create(run, {}))
+    run = tmp_path / "killed"
     Run.create(tmp_path / "killed", {})
     for event in ("demonstrations", "update", None):
 
@@ -178,7 +189,8 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
             assert event is not None
     np.testing.assert_array_equal(again[0].parameters, whole[0].parameters)
     np.testing.assert_array_equal(again[1].parameters, whole[1].parameters)
-    assert again[2] == whole[2]
+    assert again[2] == whole[2] and whole[2]["recordings"] == 2
+    assert asked == [0, 0, 0], "recordings are retargeted again after cloning"
     records = [Run.open(tmp_path / name).read_metrics() for name in ("whole", "killed")]
     assert [r["event"] for r in records[0]] == ["demonstrations", *["cloning"] * 2, "visits", *["cloning"] * 2, *["update"] * 2]
     assert [[{k: v for k, v in r.items() if k != "seconds"} for r in record] for record in records][0] == [
@@ -210,6 +222,16 @@ def test_an_unknown_pair_gets_the_command_that_trains_it(source, task):
     assert said.endswith(f"train one with: meta-evolve expert --source {source} --task {task}")
 
 
+def test_a_scripted_expert_goes_before_a_recorded_one_and_the_task_before_its_wide_variant(tmp_path, monkeypatch):
+    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path)
+    order = ["arm-cup-wide-recordings", "arm-cup-recordings", "arm-cup-wide", "arm-cup"]
+    for name in order:
+        save_expert(*new_learner(0), tmp_path, name, {})
+        assert expert_files("arm", "cup") == (tmp_path / f"{name}.policy.safetensors", tmp_path / f"{name}.value.safetensors")
+    assert expert_files("arm", "cup-wide")[0].name == "arm-cup-wide.policy.safetensors"
+    assert shipped_experts() == sorted(order) and {shipped_pair(name)[1] for name in order} == {"cup", "cup-wide"}
+
+
 def test_a_pair_of_which_half_is_missing_is_refused(tmp_path, monkeypatch):
     policy, value = new_learner(0)
     save_expert(policy, value, tmp_path, "arm-cup", {})
@@ -222,37 +244,35 @@ def test_a_pair_of_which_half_is_missing_is_refused(tmp_path, monkeypatch):
 # -- what comes with the package -----------------------------------------------------------------------------
 
 
-def pair(card):
-    source, _, task = card.stem.partition("-")
-    return source, task
-
-
 def test_the_headline_expert_is_shipped():
     assert f"{SOURCE}-061_foam_brick" in [card.stem for card in CARDS]
 
 
 @pytest.mark.parametrize("card", CARDS, ids=lambda card: card.stem)
 def test_a_shipped_expert_explains_itself(card):
-    source, task = pair(card)
+    source, task = shipped_pair(card.stem)
     assert source in ROBOTS and task in TASKS
-    policy, value = load_expert(source, task)
-    assert policy.observation_names == value.observation_names
-    size = sum(file.stat().st_size for file in (*expert_files(source, task), card))
+    files = [card.with_name(f"{card.stem}.{kind}.safetensors") for kind in ("policy", "value")]
+    policy = GaussianPolicy.load(files[0], entry_names(OBSERVATION), entry_names(ACTION))
+    assert policy.observation_names == ValueFunction.load(files[1], entry_names(OBSERVATION)).observation_names
+    size = sum(file.stat().st_size for file in (*files, card))
     assert size < 10**6, f"{size / 1e6:.1f} MB"
     content = json.loads(card.read_text())
     words = shlex.split(content["command"])
     assert words[:2] == ["meta-evolve", "expert"]
     given = dict(zip(words[2::2], words[3::2], strict=True))
     assert (given["--source"], given["--task"]) == (source, task) and int(given["--seed"]) >= 0
+    assert ("--demos" in given) == card.stem.endswith(RECORDED)
     assert int(given["--demonstrations"]) == content["demonstrations"] >= content["demonstrations_kept"] > 0
     result = content["evaluation"]
     assert result["target"] == source and result["env"] in ("native", "native-compiled") and result["episodes"] >= 100
     assert result["success_rate"] == result["successes"] / result["episodes"] >= 0.8, result
 
 
-@pytest.mark.parametrize("card", [card for card in CARDS if pair(card)[1] == "061_foam_brick"], ids=lambda card: card.stem)
+@pytest.mark.parametrize("card", [card for card in CARDS if "061_foam_brick" in card.stem], ids=lambda card: card.stem)
 def test_a_shipped_expert_succeeds_on_the_merged_source(engine, card):
-    policy, _ = load_expert(*pair(card))
+    file = card.with_name(f"{card.stem}.policy.safetensors")
+    policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
     result = evaluate_merged(policy, engine, SOURCE, 8, seed=77)
     assert result.successes >= 7, f"{result.successes} of 8 unseen seeds on F(beta_0)"
 

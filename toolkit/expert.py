@@ -149,7 +149,7 @@ def train_expert(
     source: str,
     config: ExpertConfig,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
-    teachers: Sequence[Script] = (),
+    teachers: Callable[[], tuple[Sequence[Script], dict[str, int]]] | None = None,
     run: Run | None = None,
 ) -> tuple[GaussianPolicy, ValueFunction, dict[str, Any]]:
     """Demonstrate, clone, improve on F(beta_0).
@@ -159,8 +159,9 @@ def train_expert(
         source: the robot that is F(beta_0).
         config: how.
         report: called with every event.
-        teachers: retargeted recordings as scripts, played in turn; their demonstrations also pull the updates (DAPG). None:
-            the script that is written for the object, and updates by reward alone.
+        teachers: gives retargeted recordings as scripts, played in turn, and counts of what became of the recordings; asked only
+            if cloning is still to be done. Their demonstrations also pull the updates (DAPG). None: the script that is
+            written for the object, and updates by reward alone.
         run: keeps events and, after cloning and after every update, everything that is needed to go on; a run that has a
             checkpoint is continued.
 
@@ -172,11 +173,11 @@ def train_expert(
     """
     rng = np.random.default_rng(config.seed)
     beta = engine.merged.space.beta(source)
-    scripts = teachers or [pick_script(engine.merged.task.object)]
     policy, value = new_learner(config.seed)
-    training = _Training(engine, beta, config, scripts, policy, value, rng, report, run)
+    training = _Training(engine, beta, config, policy, value, rng, report, run)
     if not training.restore():
-        training.clone(source, bool(teachers))
+        scripts, counts = ([pick_script(engine.merged.task.object)], {}) if teachers is None else teachers()
+        training.clone(source, scripts, counts, teachers is not None)
     while training.updates < config.updates:
         training.update()
     return policy, value, training.card
@@ -186,10 +187,10 @@ class _Training:
     """The state of an expert's training; every change of it ends in a checkpoint."""
 
     def __init__(
-        self, engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, scripts: Sequence[Script], policy: GaussianPolicy,
-        value: ValueFunction, rng: np.random.Generator, report: Callable[[dict[str, Any]], None], run: Run | None,
+        self, engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, policy: GaussianPolicy, value: ValueFunction,
+        rng: np.random.Generator, report: Callable[[dict[str, Any]], None], run: Run | None,
     ) -> None:  # fmt: skip
-        self.engine, self.beta, self.config, self.scripts = engine, beta, config, scripts
+        self.engine, self.beta, self.config = engine, beta, config
         self.policy, self.value, self.rng, self.run = policy, value, rng, run
         self._report, self._records = report, 0
         self.updates, self.card = 0, {}
@@ -202,19 +203,19 @@ class _Training:
             self.run.append_metrics(record)
             self._records += 1
 
-    def clone(self, source: str, recorded: bool) -> None:
+    def clone(self, source: str, scripts: Sequence[Script], counts: dict[str, int], recorded: bool) -> None:
         """Demonstrations, behaviour cloning, and rounds of visiting with recorded teachers."""
         config, policy, rng = self.config, self.policy, self.rng
-        lessons = _demonstrate(self.engine, self.beta, config, self.scripts, rng)
+        lessons = _demonstrate(self.engine, self.beta, config, scripts, rng)
         kept = 0 if lessons is None else lessons.kept
         self.report({"event": "demonstrations", "played": config.demonstrations, "kept": kept})
         if lessons is None:
             kind = "recorded" if recorded else "scripted"
             raise ToolkitError(f"none of {config.demonstrations} {kind} demonstrations succeeds on {source}; check its grasp posture")
-        self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations}
+        self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations} | counts
         for round_ in range(1 + (config.rounds if recorded else 0)):
             if round_:
-                lessons, success = _visit(self.engine, self.beta, config, self.scripts, policy, lessons, round_, rng)
+                lessons, success = _visit(self.engine, self.beta, config, scripts, policy, lessons, round_, rng)
                 self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
             seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "loss": loss})  # noqa: E731
             losses = clone(policy, lessons.seen, lessons.labels, config.cloning, rng, scale_floor=OBSERVATION_SCALE, progress=seen)
@@ -271,17 +272,37 @@ def narrow_task(task: PickTask) -> PickTask:
     return replace(task, noise_xy=min(task.noise_xy, 0.01), noise_yaw=0.0)
 
 
+POLICY_FILE = ".policy.safetensors"
+"""Ends the name of a policy's file, in SHIPPED and in a run folder."""
+RECORDED = "-recordings"
+"""Ends the name of an expert that learned from recordings of hands."""
+
+
 def expert_files(source: str, task: str) -> tuple[Path, Path]:
-    """Files of the shipped expert's policy and value function: the task's own, or those of its wide variant."""
-    names = (f"{source}-{task}", f"{source}-{task}-wide")
-    name = next((name for name in names if (SHIPPED / f"{name}.policy.safetensors").is_file()), names[0])
-    return SHIPPED / f"{name}.policy.safetensors", SHIPPED / f"{name}.value.safetensors"
+    """Files of the shipped expert's policy and value function: the task's own, or those of its wide variant.
+
+    One that was scripted goes before one that learned from recordings.
+    """
+    names = [f"{source}-{task}{wide}{kind}" for kind in ("", RECORDED) for wide in ("", "-wide")]
+    name = next((name for name in names if (SHIPPED / f"{name}{POLICY_FILE}").is_file()), names[0])
+    return SHIPPED / f"{name}{POLICY_FILE}", SHIPPED / f"{name}.value.safetensors"
+
+
+def shipped_experts() -> list[str]:
+    """Names of the experts that come with the package, sorted."""
+    return sorted(file.name.removesuffix(POLICY_FILE) for file in SHIPPED.glob(f"*{POLICY_FILE}"))
+
+
+def shipped_pair(name: str) -> tuple[str, str]:
+    """Source and task of a shipped expert's name."""
+    source, _, task = name.removesuffix(RECORDED).partition("-")
+    return source, task
 
 
 def save_expert(policy: GaussianPolicy, value: ValueFunction, folder: Path, name: str, card: dict[str, Any]) -> None:
     """Write policy, value function and a card that says how they came about."""
     folder.mkdir(parents=True, exist_ok=True)
-    policy.save(folder / f"{name}.policy.safetensors")
+    policy.save(folder / f"{name}{POLICY_FILE}")
     value.save(folder / f"{name}.value.safetensors")
     (folder / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
 
@@ -294,9 +315,8 @@ def load_expert(source: str, task: str) -> tuple[GaussianPolicy, ValueFunction]:
     """
     policy_file, value_file = expert_files(source, task)
     if not policy_file.is_file():
-        known = sorted(file.name.removesuffix(".policy.safetensors") for file in SHIPPED.glob("*.policy.safetensors"))
         raise ToolkitError(
-            f"no expert is shipped for source {source!r} and task {task!r}; there are: {', '.join(known) or 'none'}; "
+            f"no expert is shipped for source {source!r} and task {task!r}; there are: {', '.join(shipped_experts()) or 'none'}; "
             f"train one with: meta-evolve expert --source {source} --task {task}"
         )
     policy = GaussianPolicy.load(policy_file, entry_names(OBSERVATION), entry_names(ACTION))

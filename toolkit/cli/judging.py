@@ -5,17 +5,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from toolkit.cli.names import find_robot, find_task, make_lab, trained_policies
+from toolkit.cli.names import TARGETS, find_robot, find_task, make_lab, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from toolkit.evaluation import Evaluation
+    from toolkit.learning.policy import GaussianPolicy
 
 
 def evaluate(
     run: Annotated[str, tyro.conf.Positional],
     target: str | None = None,
+    task: str | None = None,
     native: bool = False,
     episodes: int = 100,
     seed: int = 0,
@@ -24,8 +26,9 @@ def evaluate(
     """Measure success on F(beta), or with --native on the unmodified robosuite robot, on seeds that training never saw.
 
     Args:
-        run: a run folder, or an exported bundle.
-        target: which target of the run; default: all of them.
+        run: the run folder of a transfer or an expert, the name of a shipped expert, or an exported bundle.
+        target: which target of the run; default: all of them. An expert's is its source.
+        task: what is played; default: what was trained. Not for a bundle.
         native: play through robosuite's own environment and step.
         episodes: per target.
         seed: shifts the evaluation's seeds.
@@ -37,12 +40,14 @@ def evaluate(
     from toolkit.simulation.rollout import RolloutEngine
 
     if is_bundle(run):
+        if task is not None:
+            raise ToolkitError(f"{run} is a bundle, whose task is written in it; leave --task {task} out")
         result = bundle_success(run, episodes, seed, quiet=json)
         emit(result.to_json(), json, sentence(result))
         return
-    content, policies = trained_policies(Path(run), target)
-    what = find_task(content["task"])
-    lab = None if native else make_lab(content["source"], content["targets"], content["task"])
+    content, policies = _expert_policy(run, target) or trained_policies(Path(run), target)
+    what = find_task(task or content["task"])
+    lab = None if native else make_lab(content["source"], content["targets"], what.name)
     results = []
     with Progress("evaluate", quiet=json) as progress:
         for name, policy in policies.items():
@@ -55,6 +60,30 @@ def evaluate(
         emit(results[0].to_json() if len(results) == 1 else [r.to_json() for r in results], True, "")
     for result in [] if json else results:
         print(sentence(result))
+
+
+def _expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]] | None:
+    """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
+    from tasks.pick import ACTION, OBSERVATION
+    from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
+    from toolkit.learning.policy import GaussianPolicy
+    from toolkit.runs import Run
+
+    if run in shipped_experts():
+        source, task = shipped_pair(run)
+        file = SHIPPED / f"{run}{POLICY_FILE}"
+    else:
+        content = Run.open(Path(run)).config
+        if "demos" not in content:
+            return None
+        source, task = content["source"], content["task"]
+        file = Path(run) / f"{source}{POLICY_FILE}"
+        if not file.is_file():
+            raise ToolkitError(f"{run} has no policy yet; finish it with its own command and --resume")
+    if target not in (None, source):
+        raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
+    policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+    return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}
 
 
 def is_bundle(name: str) -> bool:

@@ -49,7 +49,7 @@ def expert(
                            "least one episode and one demonstration, updates and seed from 0 on")  # fmt: skip
     robot, what = find_robot(source), find_task(task)
     from toolkit.evaluation import evaluate_compiled, evaluate_native
-    from toolkit.expert import SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
+    from toolkit.expert import POLICY_FILE, RECORDED, SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
     from toolkit.recordings import Studio, teachers_for
     from toolkit.runs import Run
     from toolkit.simulation.rollout import RolloutEngine
@@ -58,16 +58,16 @@ def expert(
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
              "updates": updates, "demonstrations": demonstrations}  # fmt: skip
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
-    if demos is not None:
+    if demos is not None and not resume:
         Studio(demos, robot, frame_rate)  # no run folder for recordings that are not there
     with Progress("expert", quiet=json) as progress:
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
-        teachers, counts = [], {}
-        if demos is not None:
-            teachers, counts = teachers_for(demos, robot, what, frame_rate, progress.recordings(what.object.name))
+        watch = progress.recordings(what.object.name)
+        teachers = None if demos is None else lambda: teachers_for(demos, robot, what, frame_rate, watch)
         engine = RolloutEngine(make_lab(source, [name for name in TARGETS if name != source], task).merged)
         policy, value, card = train_expert(engine, source, config, progress.expert(config), teachers, kept)
         engine.close()
+        policy.save(folder / f"{source}{POLICY_FILE}")
         results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
         counter = lambda name: progress.count(f"{source} native, {name}", episodes)  # noqa: E731
         results = {
@@ -77,8 +77,8 @@ def expert(
         }  # fmt: skip
     words = [f"--demos {demos}"] * (demos is not None) + [f"--updates {updates} --demonstrations {demonstrations} --seed {seed}"]
     command = " ".join([f"meta-evolve expert --source {source} --task {task}", *words])
-    card |= counts | {"command": command} | {key: result.to_json() for key, result in results.items()}
-    save_expert(policy, value, out or SHIPPED, f"{source}-{task}", card)
+    card |= {"command": command} | {key: result.to_json() for key, result in results.items()}
+    save_expert(policy, value, out or SHIPPED, f"{source}-{task}{'' if demos is None else RECORDED}", card)
     kept.write_json("report", card)
     lines = []
     for key, result in results.items():
