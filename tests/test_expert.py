@@ -165,13 +165,13 @@ class Killed(Exception):
 
 def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     """With recorded teachers, whose demonstrations pull the updates; killed once before cloning and once between updates."""
-    config = ExpertConfig(demonstrations=3, copies=1, rounds=1, visits=2, updates=2, cloning=CloningConfig(epochs=2),
+    config = ExpertConfig(demonstrations=3, copies=1, trials=1, rounds=2, visits=2, updates=2, cloning=CloningConfig(epochs=2),
                           npg=NpgConfig(batch_size=2))  # fmt: skip
     asked = []
 
     def teachers():
         asked.append(len(Run.open(run).checkpoints()))
-        return [PickScript(), PickScript(hover=0.05)], {"recordings": 2}
+        return {"far": PickScript((0.3, 0.0, 0.0)), "good": PickScript()}, {"recordings": 2}
 
     run = tmp_path / "whole"
     whole = train_expert(engine, SOURCE, config, teachers=teachers, run=Run.create(run, {}))
@@ -189,10 +189,11 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
             assert event is not None
     np.testing.assert_array_equal(again[0].parameters, whole[0].parameters)
     np.testing.assert_array_equal(again[1].parameters, whole[1].parameters)
-    assert again[2] == whole[2] and whole[2]["recordings"] == 2
+    assert again[2] == whole[2] and whole[2]["recordings"] == 2 and whole[2]["teacher"] == "good"
     assert asked == [0, 0, 0], "recordings are retargeted again after cloning"
     records = [Run.open(tmp_path / name).read_metrics() for name in ("whole", "killed")]
-    assert [r["event"] for r in records[0]] == ["demonstrations", *["cloning"] * 2, "visits", *["cloning"] * 2, *["update"] * 2]
+    taught = ["trial", "trial", "demonstrations", *["cloning"] * 2, *["visits", "cloning"] * 2]
+    assert [r["event"] for r in records[0]] == [*taught, *["update"] * 2]
     assert [[{k: v for k, v in r.items() if k != "seconds"} for r in record] for record in records][0] == [
         {k: v for k, v in r.items() if k != "seconds"} for r in records[1]
     ]

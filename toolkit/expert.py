@@ -1,7 +1,7 @@
 """The source expert: behaviour cloning of scripted demonstrations, then natural policy gradient under the sparse reward."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -44,9 +44,13 @@ class ExpertConfig:
     beside the demonstrated way, and judges a grasp by object and progress rather than by one hand's exact posture."""
     demonstrated_tolerance: float = 0.01
     """Distance [m] from the goal that demonstrations reach: tighter than the task, so that no clone stops short of it."""
-    rounds: int = 2
-    """With recorded demonstrations: how often the clone plays, is told what the teachers would have done where it went, and is
-    cloned anew (Ross et al. 2011, DAgger)."""
+    trials: int = 16
+    """With several recorded demonstrations: episodes by which each is tried; the best one teaches."""
+    rounds: int = 5
+    """With recorded demonstrations: how often, at most, the clone plays, is told what its teacher would have done where it went,
+    and is cloned again (Ross et al. 2011, DAgger)."""
+    mastered: float = 0.95
+    """Success under the policy's own noise at which there are no more such rounds."""
     visits: int = 40
     """Episodes of each such round."""
     updates: int = 6
@@ -94,7 +98,7 @@ def _with_noise(observations: np.ndarray, script: Script, copies: int, rng: np.r
 
 @dataclass(frozen=True, eq=False)
 class _Lessons:
-    """What the teachers did: steps of the kept demonstrations, and what is cloned, noisy copies and visited states included."""
+    """What a teacher did: steps of the kept demonstrations, and what is cloned, noisy copies and visited states included."""
 
     observations: np.ndarray
     actions: np.ndarray
@@ -104,44 +108,49 @@ class _Lessons:
     played: int
 
 
-def _demonstrate(
-    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Sequence[Script], rng: np.random.Generator
-) -> _Lessons | None:
-    """Play the teachers in turn, keep what succeeds, label it; None if nothing succeeds."""
-    strict = replace(engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
-    stage = RolloutEngine(MergedRobot(engine.merged.space, strict), engine.threads)
-    parts, kept = [], 0
-    for k, script in enumerate(teachers):
-        seeds = list(range(DEMONSTRATION_SEEDS + k, DEMONSTRATION_SEEDS + config.demonstrations, len(teachers)))
+def _best_teacher(
+    stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: dict[str, Script], report: Callable[[dict[str, Any]], None]
+) -> str:
+    """Name of the teacher that succeeds most often under noise, the quickest of equals; all play the same seeds.
+
+    Only one is cloned, as a Gaussian policy that clones several learns their mean: between two grasps, each teacher would still
+    move on to its own and none would close its fingers.
+    """
+    if len(teachers) == 1:
+        return next(iter(teachers))
+    seeds, marks = range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.trials), {}
+    for name, script in teachers.items():
         played = stage.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
-        good = [episode.observations for episode in played if episode.success]
-        if good:
-            kept += len(good)
-            observations = np.concatenate(good)
-            seen, labels = _with_noise(observations, script, config.copies, rng)
-            parts.append((observations, labels[: len(observations)], seen, labels))
-    stage.close()
-    if not parts:
+        successes, steps = sum(episode.success for episode in played), float(np.mean([len(episode.rewards) for episode in played]))
+        marks[name] = (-successes, steps)
+        report({"event": "trial", "teacher": name, "played": len(seeds), "kept": successes, "steps": steps})
+    return min(marks, key=marks.get)
+
+
+def _demonstrate(
+    stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, rng: np.random.Generator
+) -> _Lessons | None:
+    """Play a teacher, keep what succeeds, label it; None if nothing succeeds."""
+    seeds = range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations)
+    played = stage.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
+    good = [episode.observations for episode in played if episode.success]
+    if not good:
         return None
-    return _Lessons(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), kept, config.demonstrations)
+    observations = np.concatenate(good)
+    seen, labels = _with_noise(observations, script, config.copies, rng)
+    return _Lessons(observations, labels[: len(observations)], seen, labels, len(good), len(seeds))
 
 
 def _visit(
-    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Sequence[Script], policy: GaussianPolicy,
-    lessons: _Lessons, round_: int, rng: np.random.Generator,
+    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, policy: GaussianPolicy, lessons: _Lessons,
+    round_: int, rng: np.random.Generator,
 ) -> tuple[_Lessons, float]:  # fmt: skip
-    """Let the clone play, add what the teachers would have done where it went (Ross et al. 2011, DAgger); its success."""
-    seen, labels, successes = [lessons.seen], [lessons.labels], 0
-    for k, script in enumerate(teachers):
-        first = VISIT_SEEDS + round_ * config.visits
-        seeds = list(range(first + k, first + config.visits, len(teachers)))
-        played = engine.play(policy.act, [beta] * len(seeds), seeds)
-        successes += sum(episode.success for episode in played)
-        for episode in played:
-            states, wanted = _with_noise(episode.observations, script, 1, rng)
-            seen.append(states)
-            labels.append(wanted)
-    return replace(lessons, seen=np.concatenate(seen), labels=np.concatenate(labels)), successes / config.visits
+    """Let the clone play, add what the teacher would have done where it went (Ross et al. 2011, DAgger); its success."""
+    first = VISIT_SEEDS + round_ * config.visits
+    played = engine.play(policy.act, [beta] * config.visits, range(first, first + config.visits))
+    states, wanted = _with_noise(np.concatenate([episode.observations for episode in played]), script, 1, rng)
+    more = replace(lessons, seen=np.concatenate([lessons.seen, states]), labels=np.concatenate([lessons.labels, wanted]))
+    return more, float(np.mean([episode.success for episode in played]))
 
 
 def train_expert(
@@ -149,7 +158,7 @@ def train_expert(
     source: str,
     config: ExpertConfig,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
-    teachers: Callable[[], tuple[Sequence[Script], dict[str, int]]] | None = None,
+    teachers: Callable[[], tuple[dict[str, Script], dict[str, int]]] | None = None,
     run: Run | None = None,
 ) -> tuple[GaussianPolicy, ValueFunction, dict[str, Any]]:
     """Demonstrate, clone, improve on F(beta_0).
@@ -159,9 +168,9 @@ def train_expert(
         source: the robot that is F(beta_0).
         config: how.
         report: called with every event.
-        teachers: gives retargeted recordings as scripts, played in turn, and counts of what became of the recordings; asked only
-            if cloning is still to be done. Their demonstrations also pull the updates (DAPG). None: the script that is
-            written for the object, and updates by reward alone.
+        teachers: gives scripts by the recordings that they follow, of which the best teaches, and counts of what became of the
+            recordings; asked only if cloning is still to be done. Its demonstrations also pull the updates (DAPG). None: the script that
+            is written for the object, and updates by reward alone.
         run: keeps events and, after cloning and after every update, everything that is needed to go on; a run that has a
             checkpoint is continued.
 
@@ -176,7 +185,7 @@ def train_expert(
     policy, value = new_learner(config.seed)
     training = _Training(engine, beta, config, policy, value, rng, report, run)
     if not training.restore():
-        scripts, counts = ([pick_script(engine.merged.task.object)], {}) if teachers is None else teachers()
+        scripts, counts = ({"script": pick_script(engine.merged.task.object)}, {}) if teachers is None else teachers()
         training.clone(source, scripts, counts, teachers is not None)
     while training.updates < config.updates:
         training.update()
@@ -203,29 +212,41 @@ class _Training:
             self.run.append_metrics(record)
             self._records += 1
 
-    def clone(self, source: str, scripts: Sequence[Script], counts: dict[str, int], recorded: bool) -> None:
-        """Demonstrations, behaviour cloning, and rounds of visiting with recorded teachers."""
+    def clone(self, source: str, scripts: dict[str, Script], counts: dict[str, int], recorded: bool) -> None:
+        """Demonstrations, behaviour cloning, and rounds of visiting with a recorded teacher."""
         config, policy, rng = self.config, self.policy, self.rng
-        lessons = _demonstrate(self.engine, self.beta, config, scripts, rng)
+        strict = replace(self.engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
+        stage = RolloutEngine(MergedRobot(self.engine.merged.space, strict), self.engine.threads)
+        name = _best_teacher(stage, self.beta, config, scripts, self.report)
+        script = scripts[name]
+        lessons = _demonstrate(stage, self.beta, config, script, rng)
+        stage.close()
         kept = 0 if lessons is None else lessons.kept
         self.report({"event": "demonstrations", "played": config.demonstrations, "kept": kept})
         if lessons is None:
             kind = "recorded" if recorded else "scripted"
             raise ToolkitError(f"none of {config.demonstrations} {kind} demonstrations succeeds on {source}; check its grasp posture")
         self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations} | counts
-        for round_ in range(1 + (config.rounds if recorded else 0)):
-            if round_:
-                lessons, success = _visit(self.engine, self.beta, config, scripts, policy, lessons, round_, rng)
-                self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
-            seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "loss": loss})  # noqa: E731
-            losses = clone(policy, lessons.seen, lessons.labels, config.cloning, rng, scale_floor=OBSERVATION_SCALE, progress=seen)
-            self.card["cloning_loss"] = losses[-1]
+        self._fit(lessons, config.cloning)
         if recorded:
+            self.card["teacher"] = name
+            again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
+            for round_ in range(1, config.rounds + 1):
+                lessons, success = _visit(self.engine, self.beta, config, script, policy, lessons, round_, rng)
+                self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
+                if success >= config.mastered:
+                    break
+                self._fit(lessons, again)
             self.demonstrations = Demonstrations(lessons.observations, lessons.actions)
             if self.run is not None:
                 arrays = {"observations": lessons.observations, "actions": lessons.actions}
                 self.run.save_checkpoint("demonstrations", arrays, {})
         self.checkpoint()
+
+    def _fit(self, lessons: _Lessons, config: CloningConfig) -> None:
+        seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "of": config.epochs, "loss": loss})  # noqa: E731
+        losses = clone(self.policy, lessons.seen, lessons.labels, config, self.rng, scale_floor=OBSERVATION_SCALE, progress=seen)
+        self.card["cloning_loss"] = losses[-1]
 
     def update(self) -> None:
         """One update under the sparse reward, pulled by demonstrations if there are recorded ones."""

@@ -150,8 +150,8 @@ def teachers_for(
     task: PickTask,
     frame_rate: float = FRAME_RATE,
     progress: Callable[[int, int, int], None] = lambda done, total, kept: None,
-) -> tuple[list[TrackScript], dict[str, int]]:
-    """Scripts that follow the recordings of a task's object, and counts of what became of the recordings.
+) -> tuple[dict[str, TrackScript], dict[str, int]]:
+    """Scripts that follow the recordings of a task's object, by their names, and counts of what became of the recordings.
 
     Args:
         root: of the recordings.
@@ -185,4 +185,5 @@ def teachers_for(
             f"none of {len(mine)} recordings of {task.object.name} in {root} can be followed ({counts['failed_in_replay']} fail in "
             "replay); see why with: meta-evolve recordings retarget"
         )
-    return [TrackScript(d.track, np.array(task.goal_offset), CLOSING) for d in kept], counts | {"followed": len(kept)}
+    scripts = {d.recording.name: TrackScript(d.track, np.array(task.goal_offset), CLOSING) for d in kept}
+    return scripts, counts | {"followed": len(kept)}

@@ -75,10 +75,12 @@ class Progress:
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "demonstrations":
                 self.show("demonstrations", f"{record['kept']} of {record['played']} kept", now=True)
+            elif record["event"] == "trial":
+                self.show(f"teacher {record['teacher']}", f"{record['kept']} of {record['played']} succeed", now=True)
             elif record["event"] == "visits":
                 self.show("visits", f"the clone succeeds in {record['success']:.0%} of {record['played']}", now=True)
             elif record["event"] == "cloning":
-                self.show("cloning", f"loss {record['loss']:.4f}", record["epoch"], config.cloning.epochs)
+                self.show("cloning", f"loss {record['loss']:.4f}", record["epoch"], record["of"])
             else:
                 self.show("updates", f"success {record['success']:.0%}", record["update"] + 1, config.updates, now=True)
 
