@@ -343,10 +343,10 @@ def test_yaml_laughs_once(one):
     lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
     lines += [f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]" for old, new in zip(names, names[1:], strict=False)]
     (one / only(one) / "meta.yml").write_text("\n".join([*lines, "serials: *m"]))
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(RecordingError) as refused:
         read_recording(one, only(one))
-    assert time.monotonic() - start < 5 and len(str(refused.value)) < 1000
+    assert time.process_time() - start < 5 and len(str(refused.value)) < 1000
 
 
 def test_a_pickle_is_not_loaded(one):
@@ -474,7 +474,7 @@ def test_two_thousand_broken_recordings(one):
         choices = spoils[file.suffix]
         spoil = choices[rng.integers(len(choices))]
         spoil(file, rng)
-        start = time.monotonic()
+        start = time.process_time()
         try:
             read_recording(one, name)
             accepted.append((case, spoil.__name__, file.name, len(file.read_bytes()) if file.exists() else None))
@@ -482,7 +482,7 @@ def test_two_thousand_broken_recordings(one):
             said = str(error)
             assert said.startswith(str(one)) and "expected" in said and "\n" not in said and len(said) < 700, said
             seen.add(re.sub(r"\d+", "N", said.split(": ", 1)[1])[:60])
-        slowest = max(slowest, time.monotonic() - start)
+        slowest = max(slowest, time.process_time() - start)
         file.write_bytes(kept[file])
     assert not accepted, f"{len(accepted)} broken recordings were read, the first: {accepted[:5]}"
     assert len(seen) > 30 and slowest < 10, f"{len(seen)} kinds of sentences; the slowest took {slowest:.1f} s"
