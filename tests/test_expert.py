@@ -165,8 +165,8 @@ class Killed(Exception):
 
 def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     """With recorded teachers, whose demonstrations pull the updates; killed once before cloning and once between updates."""
-    config = ExpertConfig(demonstrations=3, copies=1, trials=1, rounds=2, visits=2, updates=2, cloning=CloningConfig(epochs=2),
-                          npg=NpgConfig(batch_size=2))  # fmt: skip
+    config = ExpertConfig(demonstrations=3, copies=1, trials=3, rounds=2, mastered=1.5, visits=2, updates=2,
+                          cloning=CloningConfig(epochs=2), npg=NpgConfig(batch_size=2))  # fmt: skip
     asked = []
 
     def teachers():
