@@ -113,8 +113,7 @@ def _best_teacher(
 ) -> str:
     """Name of the teacher that succeeds most often under noise, the quickest of equals; all play the same seeds.
 
-    Only one is cloned, as a Gaussian policy that clones several learns their mean: between two grasps, each teacher would still
-    move on to its own and none would close its fingers.
+    Only one is cloned, as a Gaussian policy that clones several learns their mean.
     """
     if len(teachers) == 1:
         return next(iter(teachers))
