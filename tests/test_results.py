@@ -24,7 +24,7 @@ def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_fo
         "train_iterations": {path: 3 for path in paths}, "sim_epochs": paths, "check_episodes": {path: 16 for path in paths},
         "routes": {"path 1": ["hand", "left"], "path 2": ["hand", "right"]},
         "totals": {"train_iterations": 6, "sim_epochs": epochs + 7, "check_episodes": 32, "diverged": 0},
-        "wall_s": 90.0, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "path": "straight", "task": task,
+        "time": {"wall_s": 90.0}, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "path": "straight", "task": task,
     })  # fmt: skip
     return run.path
 

@@ -148,7 +148,7 @@ def cost_table(runs: Sequence[Result]) -> list[str]:
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     for (method, task, targets), group in _groups(runs).items():
         cells = [_spread([run.report["totals"][key] for run in group]) for key in COSTS]
-        wall = _spread([run.report["wall_s"] / 60 for run in group], digits=1)
+        wall = _spread([run.report["time"]["wall_s"] / 60 for run in group], digits=1)
         lines.append(f"| {method}, to {targets} | {task} | {len(group)} | {' | '.join(cells)} | {wall} |")
     for method, numbers in PAPER.items():
         cells = [f"{mean} ± {deviation}" for mean, deviation in numbers.values()]
