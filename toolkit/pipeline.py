@@ -11,7 +11,7 @@ from tasks.pick import PickTask
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
-from toolkit.expert import load_expert
+from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
@@ -156,7 +156,7 @@ class Pipeline:
         try:
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():
-                policy.save(self.run.path / f"{name}.policy.safetensors")
+                policy.save(self.run.path / f"{name}{POLICY_FILE}")
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
             report = self._report(evaluations)
             self.run.write_json("report", report)

@@ -47,7 +47,7 @@ COARSE = 0.3
 """Fixed step: the paper's xi of 0.03 takes a thousand phases here, each of 16 checking episodes or more."""
 SUITES: dict[str, dict[str, Entry]] = {
     "real-robots": {
-        # What is shipped, and judged over 200 seeds.
+        # What is to be shipped, judged over the most seeds.
         "tree-0": Entry(episodes=200),
         "can-tree-0": Entry(task=CAN, targets=JAWS, episodes=100),
         "tree-1": Entry(seed=1),

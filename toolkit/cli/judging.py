@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from toolkit.cli.names import TARGETS, find_robot, find_task, make_lab, trained_policies
+from toolkit.cli.names import expert_policy, find_robot, find_task, make_lab, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from toolkit.evaluation import Evaluation
-    from toolkit.learning.policy import GaussianPolicy
 
 
 def evaluate(
@@ -45,7 +44,7 @@ def evaluate(
         result = bundle_success(run, episodes, seed, quiet=json)
         emit(result.to_json(), json, sentence(result))
         return
-    content, policies = _expert_policy(run, target) or trained_policies(Path(run), target)
+    content, policies = expert_policy(run, target) or trained_policies(Path(run), target)
     what = find_task(task or content["task"])
     lab = None if native else make_lab(content["source"], content["targets"], what.name)
     results = []
@@ -60,30 +59,6 @@ def evaluate(
         emit(results[0].to_json() if len(results) == 1 else [r.to_json() for r in results], True, "")
     for result in [] if json else results:
         print(sentence(result))
-
-
-def _expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]] | None:
-    """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
-    from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
-    from toolkit.learning.policy import GaussianPolicy
-    from toolkit.runs import Run
-
-    if run in shipped_experts():
-        source, task = shipped_pair(run)
-        file = SHIPPED / f"{run}{POLICY_FILE}"
-    else:
-        content = Run.open(Path(run)).config
-        if "demos" not in content:
-            return None
-        source, task = content["source"], content["task"]
-        file = Path(run) / f"{source}{POLICY_FILE}"
-        if not file.is_file():
-            raise ToolkitError(f"{run} has no policy yet; finish it with its own command and --resume")
-    if target not in (None, source):
-        raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
-    policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
-    return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}
 
 
 def is_bundle(name: str) -> bool:

@@ -56,7 +56,7 @@ def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":
 def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]]:
     """Config of a run folder or bundle, and its policies by target."""
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import entry_names
+    from toolkit.expert import POLICY_FILE, entry_names
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.runs import Run
 
@@ -68,8 +68,32 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
     for name in content["targets"] if target is None else [target]:
         if name not in content["targets"]:
             raise ToolkitError(f"target {name!r} is not in {folder}; it has: {', '.join(content['targets'])}")
-        file = folder / f"{name}.policy.safetensors"
+        file = folder / f"{name}{POLICY_FILE}"
         if not file.is_file():
             raise ToolkitError(f"{folder} has no policy for {name!r} yet; finish it with: meta-evolve transfer --run {folder} --resume")
         found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
     return content, found
+
+
+def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]] | None:
+    """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
+    from tasks.pick import ACTION, OBSERVATION
+    from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
+    from toolkit.learning.policy import GaussianPolicy
+    from toolkit.runs import Run
+
+    if run in shipped_experts():
+        source, task = shipped_pair(run)
+        file = SHIPPED / f"{run}{POLICY_FILE}"
+    else:
+        content = Run.open(Path(run)).config
+        if "demos" not in content:
+            return None
+        source, task = content["source"], content["task"]
+        file = Path(run) / f"{source}{POLICY_FILE}"
+        if not file.is_file():
+            raise ToolkitError(f"{run} has no policy yet; finish it with its own command and --resume")
+    if target not in (None, source):
+        raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
+    policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+    return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}

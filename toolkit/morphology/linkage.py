@@ -35,7 +35,7 @@ BOX_HALF_SIZE = (0.04, 0.025, 0.025)
 """Half extents [m] of a squeezed box, its second axis across the jaws unless a width is given."""
 SLOWED = 1.8
 """Factor on the damping of a knuckle that its motor's power tells: friction in the linkage, which is left out, slows it as well.
-With it the merged gripper closes within 0.6 (Kinova3), 0.8 (UR5e) and 0.1 (IIWA) policy steps of robosuite's; with 1, within 1.2."""
+With it the merged gripper closes within 0.6 (Kinova3), 0.8 (UR5e) and 0 (IIWA) policy steps of robosuite's; with 1, within 1.2."""
 CLOSING_STEPS, CLOSING_STEP = 10, 0.05
 """Steps, and seconds each, in which a gripper closes on a box: robosuite's rate for its two-jaw grippers."""
 OUT_OF_REACH = (3.0, 3.0, 3.0)
@@ -316,8 +316,7 @@ def equivalent_linkages(
         axes = [signs[name] * data.xaxis[joints[name]] for name in (role, pads[i])]
         turn = float(np.sign(axes[0] @ axes[1]))
         finger, senses = [i, len(driven) + i], np.array([1.0, turn])
-        parameters, curve = _fitted(air[..., finger] * senses, loaded[..., finger] * senses)
-        hold, stop, slack, gear, *cost = parameters
+        (hold, stop, slack, gear, *cost), curve = _fitted(air[..., finger] * senses, loaded[..., finger] * senses)
         out.append(
             Linkage(
                 role, pads[i], knuckles[i], turn, *_spring(*cost), _damping(*closing[..., i].T, np.array(cost)),
