@@ -39,7 +39,7 @@ def learner(monkeypatch):
     from toolkit import pipeline
     from toolkit.expert import new_learner
 
-    monkeypatch.setattr(pipeline, "load_expert", lambda source, task: new_learner(0))
+    monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))
 
 
 @pytest.fixture

@@ -214,6 +214,16 @@ def test_an_expert_comes_back_as_it_was_saved(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "new" / "folder" / "arm-cup.json").read_text()) == {"command": "made by hand"}
 
 
+def test_any_expert_can_be_named(tmp_path, monkeypatch):
+    policy, value = new_learner(3)
+    save_expert(policy, value, tmp_path, "arm-cup-recordings", {})
+    np.testing.assert_array_equal(load_expert("arm", "cup", str(tmp_path / "arm-cup-recordings"))[0].parameters, policy.parameters)
+    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path)
+    np.testing.assert_array_equal(load_expert("arm", "mug", "arm-cup-recordings")[0].parameters, policy.parameters)
+    with pytest.raises(ToolkitError, match="there is no expert 'arm-mug'.*arm-cup-recordings"):
+        load_expert("arm", "cup", "arm-mug")
+
+
 @pytest.mark.parametrize("source, task", [("jaco", "061_foam_brick"), ("adroit", "juggling"), ("", "")])
 def test_an_unknown_pair_gets_the_command_that_trains_it(source, task):
     with pytest.raises(ToolkitError) as refused:

@@ -45,7 +45,7 @@ def played(job, tmp_path_factory):
     return folder, report, watched
 
 
-def bent_expert(source, task):
+def bent_expert(source, task, name=None):
     """The shipped expert with a pull to one side: its mean action misses, its noisy ones hit now and then."""
     policy, value = load_expert(source, task)
     parameters = policy.parameters.copy()

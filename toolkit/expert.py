@@ -327,13 +327,23 @@ def save_expert(policy: GaussianPolicy, value: ValueFunction, folder: Path, name
     (folder / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
 
 
-def load_expert(source: str, task: str) -> tuple[GaussianPolicy, ValueFunction]:
-    """The shipped expert of a source robot and a task.
+def load_expert(source: str, task: str, name: str | None = None) -> tuple[GaussianPolicy, ValueFunction]:
+    """The expert of a source robot and a task.
+
+    Args:
+        source, task: for which one is shipped.
+        name: another one: of a shipped expert, or of the files of one's own without their endings.
 
     Raises:
-        ToolkitError: none is shipped for the pair; the sentence gives the command that trains one.
+        ToolkitError: there is none; the sentence gives the command that trains one.
     """
-    policy_file, value_file = expert_files(source, task)
+    folder = SHIPPED if name is None or name in shipped_experts() else Path()
+    policy_file, value_file = expert_files(source, task) if name is None else (
+        folder / f"{name}{POLICY_FILE}", folder / f"{name}.value.safetensors")  # fmt: skip
+    if name is not None and not policy_file.is_file():
+        raise ToolkitError(
+            f"there is no expert {name!r}: neither {policy_file} nor one of those that are shipped, {', '.join(shipped_experts())}"
+        )
     if not policy_file.is_file():
         raise ToolkitError(
             f"no expert is shipped for source {source!r} and task {task!r}; there are: {', '.join(shipped_experts()) or 'none'}; "

@@ -27,10 +27,10 @@ from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer import Branch, Method, Transfer, TransferConfig
 
 PRESETS: dict[str, dict[str, Any]] = {
-    # A small budget and larger natural-gradient steps: the whole way in minutes, reported as it is.
+    # A small budget: the whole way in minutes, reported as it is.
     "quick": {"transfer": {"path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
-    "full": {"transfer": {"path_budget": 15_000}, "npg": {"step_size": 0.002}, "evaluation_episodes": 200},
+    "full": {"transfer": {"path_budget": 15_000}, "npg": {"step_size": 0.01}, "evaluation_episodes": 200},
     # Every number from the paper's table.
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
 }  # fmt: skip
@@ -56,6 +56,7 @@ class Job:
         task: what it does.
         transfer: the schedule.
         evaluation_episodes: per target and robot, after training.
+        expert: name of the source's policy, as for `load_expert`; None: the one shipped for source and task.
     """
 
     source: Robot
@@ -63,16 +64,18 @@ class Job:
     task: PickTask
     transfer: TransferConfig = field(default_factory=TransferConfig)
     evaluation_episodes: int = 200
+    expert: str | None = None
 
     def __post_init__(self) -> None:
         check_roles(self.source, self.targets)
 
     def config(self) -> dict[str, Any]:
         """As written to config.json, and compared on --resume."""
-        return {
+        asked = {
             "source": self.source.name, "targets": [robot.name for robot in self.targets], "task": self.task.name,
             "transfer": asdict(self.transfer), "evaluation_episodes": self.evaluation_episodes,
         }  # fmt: skip
+        return asked if self.expert is None else asked | {"expert": self.expert}
 
 
 def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **overrides: Any) -> TransferConfig:
@@ -128,7 +131,7 @@ class Pipeline:
     def __init__(
         self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None
     ) -> None:
-        policy, value = load_expert(job.source.name, job.task.name)
+        policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch = job, watch
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})

@@ -57,6 +57,12 @@ class Result:
         bent = ", optimised path" if report["path"] == "optimised" else ""
         return f"{kind}{metric}, {report['step']} step{length}{bent}"
 
+    @property
+    def task(self) -> str:
+        """What is done, and by whose policy if it is not the expert shipped for the task."""
+        expert = self.config.get("expert")
+        return self.report["task"] + (f" (expert {expert})" if expert else "")
+
 
 def read_result(folder: Path) -> Result | None:
     """The run in a folder, None while it has no report.
@@ -138,7 +144,7 @@ def success_table(runs: Sequence[Result]) -> list[str]:
         for target in targets:
             both = run.report["targets"].get(target, {})
             cells += [_rate(both.get("native")), _rate(both.get("merged"))]
-        lines.append(f"| {run.name} | {run.report['task']} | {' | '.join(cells)} |")
+        lines.append(f"| {run.name} | {run.task} | {' | '.join(cells)} |")
     return lines
 
 
@@ -173,7 +179,7 @@ def _targets(runs: Iterable[Result]) -> list[str]:
 def _groups(runs: Sequence[Result]) -> dict[tuple[str, str, str], list[Result]]:
     groups: dict[tuple[str, str, str], list[Result]] = {}
     for run in runs:
-        groups.setdefault((run.method, run.report["task"], ", ".join(run.config["targets"])), []).append(run)
+        groups.setdefault((run.method, run.task, ", ".join(run.config["targets"])), []).append(run)
     return groups
 
 

@@ -176,7 +176,7 @@ def _known(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     files = {name: folder / f"{name}.policy.safetensors" for name in content["targets"]}
     names = entry_names(OBSERVATION), entry_names(ACTION)
     trained = {name: GaussianPolicy.load(file, *names) for name, file in files.items() if file.is_file()}
-    policy, _ = load_expert(content["source"], content["task"])
+    policy, _ = load_expert(content["source"], content["task"], content.get("expert"))
     return Known(folder, lab.merged, policy, lambda name: native_plant(find_robot(name), task), trained)
 
 

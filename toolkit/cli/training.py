@@ -98,6 +98,7 @@ def transfer(
     path: Literal["straight", "optimised"] = "straight",
     xi: float | None = None,
     budget: int | None = None,
+    expert: str | None = None,
     seed: int = 0,
     preset: str = "quick",
     episodes: int | None = None,
@@ -121,10 +122,12 @@ def transfer(
             a step.
         xi: length of a fixed step, and of the shortest adaptive one; default: the paper's 0.03.
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
+        expert: another policy of the source than the one shipped for the task: a shipped expert's name, or the files of your own
+            without their endings, as EXPERTS/adroit-061_foam_brick-wide-recordings.
         seed: of everything random.
         preset: quick (minutes), full, or paper (every number from the paper's table).
         episodes: of the final evaluation, per target, on F(beta) and on the unmodified robot; default: the preset's.
-        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with the path if it is not straight.
+        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with path and expert where they are not the usual.
         resume: continue the run in that folder.
         json: print the report as one JSON object at the end.
     """
@@ -135,8 +138,9 @@ def transfer(
     if episodes is not None and episodes < 1:
         raise ToolkitError(f"episodes is {episodes}; give at least 1")
     bent = "" if path == "straight" else f"{path}-"
-    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}"
-    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"])
+    taught = "" if expert is None else f"-from-{Path(expert).name}"
+    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
+    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert)
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config))
         report = pipeline.play()
