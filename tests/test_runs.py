@@ -83,7 +83,10 @@ def test_killed_and_resumed_metrics_equal_unbroken_ones(
         killed.append_metrics(record)
     with open(killed.path / "metrics.jsonl", "ab") as file:
         file.write(b'{"iteration": 99, "success": 0.123456789012345}'[:torn])
-    resumed = Run.open(killed.path)
+    looked_at = (killed.path / "metrics.jsonl").read_bytes()
+    assert len(Run.open(killed.path).read_metrics()) == total
+    assert (killed.path / "metrics.jsonl").read_bytes() == looked_at, "who only looks writes nothing: the run may be going on"
+    resumed = Run.open(killed.path, {})
     assert len(resumed.read_metrics()) == total
     resumed.truncate_metrics(checkpoint)
     for record in records[checkpoint:]:
@@ -99,7 +102,7 @@ def test_broken_metrics_are_named(tmp_path: Path) -> None:
         run.truncate_metrics(2)
     (run.path / "metrics.jsonl").write_text('{"i": 0}\nrubbish\n{"i": 1}\n')
     with pytest.raises(ToolkitError, match="line 2"):
-        Run.open(run.path)
+        Run.open(run.path, {})
 
 
 def test_checkpoint_round_trip(tmp_path: Path) -> None:

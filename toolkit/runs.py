@@ -72,11 +72,12 @@ class Run:
 
     @classmethod
     def open(cls, path: Path | str, config: dict[str, Any] | None = None) -> "Run":
-        """Continue a run; a torn last line of its metrics is dropped from the file.
+        """Look at a run, which may be going on: nothing is written. Or, with its config, continue it.
 
         Args:
             path: the folder of an earlier run.
-            config: if given, it must equal the stored one.
+            config: of the job that continues it; it must equal the stored one. A torn last line of the metrics is then dropped
+                from the file.
 
         Raises:
             ToolkitError: no such run, a broken config.json or metrics.jsonl, another config, or not writable.
@@ -91,7 +92,8 @@ class Run:
                     f"run {path} was started with {key} = {old}, not {new}; give the same {key}, or choose another --run"
                 )
         run = cls(path, stored)
-        run._write_metrics(run.read_metrics())
+        if config is not None:
+            run._write_metrics(run.read_metrics())
         return run
 
     def append_metrics(self, record: dict[str, Any]) -> None:
