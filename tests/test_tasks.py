@@ -138,6 +138,19 @@ def test_an_impossible_object_is_refused(shape, half_size, mass):
         PickObject("thing", shape, half_size, mass)
 
 
+def test_a_cards_friction_is_that_of_both_scenes(space):
+    waxed = PickObject("waxed", "box", (0.03, 0.02, 0.02), 0.05, friction=(0.2, 0.001, 0.0003))
+    native, merged_model = native_env(ROBOTS["kinova3"], PickTask(waxed)).sim.model._model, MergedRobot(space, PickTask(waxed)).template
+    for model in (native, merged_model):
+        np.testing.assert_allclose(model.geom_friction[object_geom(model)[1]], waxed.friction)
+
+
+@pytest.mark.parametrize("friction", [(0.2, 0.001), (0.2, -0.001, 0.0)])
+def test_an_impossible_friction_is_refused(friction):
+    with pytest.raises(ValueError, match="object thing: bad friction"):
+        PickObject("thing", "box", (0.1, 0.1, 0.1), 0.1, friction)
+
+
 # -- success -------------------------------------------------------------------------------------------------
 
 
