@@ -241,9 +241,23 @@ def test_viewing_needs_one_run_or_two_to_compare(capsys, trained):
     assert "compare two targets" in refusal(capsys, "view", trained, "--compare", "kinova3")
 
 
-@pytest.mark.parametrize("command", [["view", "nowhere", "--rebuild"], ["report", "nowhere"], ["view", "nowhere", "--live"]])
+@pytest.mark.parametrize("command", [["view", "nowhere", "--rebuild"], ["report", "nowhere"]])
 def test_looking_at_what_is_no_run(capsys, command):
     assert "nowhere does not exist" in refusal(capsys, *command)
+
+
+def test_following_waits_for_a_run_that_is_still_to_begin(capsys, monkeypatch):
+    """A Ctrl-C while it waits is no failure; a folder of something else is refused at once."""
+    Run.create("other", {"colour": "green"})
+    assert "no transfer's run folder" in refusal(capsys, "view", "other", "--live")
+
+    def interrupted(seconds):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(time, "sleep", interrupted)
+    main(["view", "nowhere", "--live"])
+    said = capsys.readouterr().out
+    assert "waiting for the transfer of nowhere to begin" in said and "stopped looking" in said and not Path("nowhere").exists()
 
 
 @pytest.mark.parametrize("arguments", [["evaluate"], ["export", "--target", "kinova3", "--out", "bundle"]])

@@ -199,7 +199,8 @@ def test_curves_have_a_point_per_record_on_both_timelines(rows, run):
     assert [row["iteration"] for row in totals] == list(range(1, len(records) + 1))
     assert len([row for row in rows["/learning/sim_epochs"] if "film" in row and "iteration" not in row]) == len(records)
     widths = {len(row["Scalars:scalars"]) for row in rows["/learning/success"] if "Scalars:scalars" in row}
-    assert widths == {2}, "the viewer draws the first of several lines only if rows differ in length"
+    assert widths == {1}, "the viewer draws the first of several lines only if rows differ in length"
+    assert rows["/learning/success"][0]["SeriesLines:names"] == ["path 1"], "the legend names the paths that there are, and no other"
 
 
 def test_captions_say_which_episode_it_is_and_how_it_ended(rows):
@@ -219,16 +220,15 @@ def test_contacts_and_signals_of_a_film(rows):
 
 def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
     """With no time at all, curves and ways are told and no episode is played; a rebuild plays them."""
-    story = Story(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, share=1e-9)
-    for record in Run.open(known.folder).read_metrics():
-        story.tell(record)
+    story = Story(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, 1e-9,
+                  Run.open(known.folder).read_metrics())  # fmt: skip
     cost = story.finish()
     assert cost.drawn == 0 and cost.known == 4 and "--rebuild" in str(cost) and 0 < SHARE <= 0.03
     assert "/learning/success" in entities(tmp_path / "a.rrd")
 
 
 @pytest.mark.parametrize("page", ["evolution", "morph", "rollouts", "learning", "summary"])
-def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, known, page):
+def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, known, page, capfd):
     """So little that a program that takes its picture as soon as the viewer opens is not too early for it."""
     file, out = rebuilt[0], tmp_path / f"{page}.rrd"
     at = excerpt.moment_of(file, None, page)
@@ -236,6 +236,7 @@ def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, known, pa
                   pytest.approx(max(seconds(row) for own in rows.values() for row in own if "film" in row), abs=1e-6))  # fmt: skip
     at = at if page == "learning" else 0.5 * at
     excerpt.excerpt(file, page, at, shows.page_layout(known.folder, file, page, True), out)
+    assert not capfd.readouterr().err, "nothing to warn of, as entities that hold nothing yet"
     told = entities(out)
     assert all(path.startswith((*excerpt.ROOTS[page], "/__properties", "/scene/baked")) for path in told)
     moving = [path for path, own in told.items() if any("film" in row or "iteration" in row for row in own)]
@@ -340,7 +341,9 @@ def test_a_morph_follows_the_tree(tmp_path, small):
     frames = [row for row in told["/scene/robot/bones"] if "film" in row]
     assert len(frames) == 6 and "/signals/action" not in told
     across = [row["Points2D:positions"][0][0] for row in told["/evolution/tree/here"] if "film" in row]
-    assert across == sorted(across) and across[-1] == pytest.approx(1000)
+    assert len(across) == 6 and across == sorted(across) and across[0] == 0 and across[-1] == pytest.approx(1000)
+    texts = {seconds(row): row["TextDocument:text"][0] for row in told["/evolution/changes"]}
+    assert "this is the source" in texts[0.0], "the page is whole from the first frame on"
 
 
 def test_two_runs_stand_side_by_side(tmp_path, known):
@@ -370,6 +373,19 @@ def test_the_tree_is_laid_out_to_scale():
     flat = plan.project(np.array([node["alpha"] for node in nodes], float))
     apart = np.linalg.norm(flat[3] - flat[1]) / np.linalg.norm(flat[1] - flat[0])
     assert apart == pytest.approx(3.0), "a projection that keeps everything keeps distances"
+
+
+def test_paths_are_counted_as_a_transfer_counts_them():
+    """Of a committed run the plan names the very paths that its records tell of."""
+    folder = ROOT / "docs" / "results" / "tree-0"
+    records = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert Plan(json.loads((folder / "tree.json").read_bytes())).paths == sorted({record["path"] for record in records})
+    nodes = [{"name": name, "kind": kind, "alpha": [x]} for name, kind, x in
+             [("s", "source", 0), ("t", "target", 1), ("u", "target", -1), ("v", "target", 2)]]  # fmt: skip
+    edges = [{"from": start, "to": end, "length": 1.0} for start, end in (("s", "t"), ("s", "u"), ("t", "v"))]
+    assert Plan({"nodes": nodes, "edges": edges}).paths == ["path 2", "path 3", "path 4", "path 5"], (
+        "s forks: 1 has nothing to do; 2 to t, which is a target, so that it parts into 4 and 5; 3 to u"
+    )
 
 
 def test_a_matrix_has_a_place_for_every_dimension(small):

@@ -150,9 +150,7 @@ class Pipeline:
         self.witness = Witness(folder, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
         stream = Stream(folder / "recording.rrd")
-        self.story = Story(stream, folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, SHARE)
-        for record in records:
-            self.story.tell(record)
+        self.story = Story(stream, folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, SHARE, records)
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""

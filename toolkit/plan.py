@@ -21,6 +21,8 @@ class Plan:
         nodes: name -> node.  edges: as given.
         places: name -> (x, y): x the length from the source, to scale, y a row.
         below: name -> targets at or after the node.
+        paths: "path 1", ... as a transfer along the plan counts them: one per edge, and one per target that others lie behind. Where
+            the ways part at the source itself there is no first one.
         share: (k,) explained variance of the principal components, k at most 3.
     """
 
@@ -35,6 +37,9 @@ class Plan:
         self.roots = [name for name in self.nodes if name not in entered] or list(self.nodes)[:1]
         self.below: dict[str, frozenset[str]] = {}
         self.places = self._placed()
+        forks = len(self._children[self.roots[0]]) > 1
+        crossed = sum(self.nodes[name]["kind"] == "target" and bool(own) for name, own in self._children.items())
+        self.paths = [f"path {k + forks + 1}" for k in range(len(self.edges) + crossed)]
         alphas = np.array([node["alpha"] for node in self.nodes.values()])
         self._mean = alphas.mean(axis=0)
         _, spread, axes = np.linalg.svd(alphas - self._mean, full_matrices=False)

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab
+from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     import subprocess
 
+    from toolkit.recording.layout import Layout
     from toolkit.recording.shows import Known
 
 Page = Literal["evolution", "morph", "rollouts", "learning", "summary"]
@@ -42,62 +43,38 @@ def view(
         compare: one or two targets, or one target of two runs: their final policies side by side, from the same seed.
         seed: of the start in --compare; the default is the first of `meta-evolve evaluate`.
         page: show this page alone.
-        still: save what the viewer shows as a PNG instead of opening it.
-        at: moment of the still or of the excerpt: seconds of the film, on the page learning the iteration.
+        still: save what the viewer shows as a PNG instead of opening it; with --page or --compare at the moment --at.
+        at: moment of the still or of the excerpt: seconds of the film, on the page learning the iteration; default: the last.
         size: of the still, WIDTHxHEIGHT.
         out: file for what --compare or --rebuild makes; default: inside the run folder. With --page, or --compare and --at:
-            that page as it is at that moment (default: the last), as a small recording of its own.
+            that page as it is at that moment, as a small recording of its own.
     """
-    from toolkit.recording import excerpt, shows, stream, viewer
-
-    if len(path) == 1 and path[0].suffix == ".jsonl":
-        from toolkit.recording.deployment import record_deployment
-
-        path = (record_deployment(path[0]),)
     if not path or len(path) > 2 or (len(path) == 2 and not compare):
         raise ToolkitError(f"view takes one run folder or .rrd file, and two run folders with --compare; got {len(path)}")
     if live:
         _follow(path[0])
         return
-    file = path[0]
+    from toolkit.recording import shows, stream, viewer
+
+    frozen = (still or out) is not None and (page is not None or (compare and (at is not None or still is not None)))
+    whole = None if frozen else out
     if compare:
-        cut = out if at is not None and still is None else None
-        file = path[0] / f"compare-{'-'.join(compare)}.rrd" if cut or out is None else out
-        sides = _sides(path, compare)
-        films = shows.compare(sides, file, seed)
-        print("; ".join(f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)))
-        if cut is not None:
-            excerpt.excerpt(file, "compare", at, shows.compare_layout([label for label, _, _ in sides], True), cut)
-    elif rebuild:
-        file = out if out is not None and page is None else path[0] / "recording.rrd"
-        print(str(shows.rebuild(_known(path[0]), file)))
-    file = viewer.recording_of(file)
-    files = [file]
-    alone = page is not None and not compare
-    if alone and (still or out):
-        with TemporaryDirectory() as folder:
-            moment = excerpt.moment_of(file, at, page)
-            cut = out or Path(folder) / f"{page}.rrd"
-            excerpt.excerpt(file, page, moment, shows.page_layout(_folder(path[0]), file, page, True), cut)
-            if still is not None:  # of the excerpt: there at once, and its curves have a cursor to show the moment
-                moves = page in ("rollouts", "learning")
-                viewer.still([cut], still, moment if moves else None, size, "iteration" if page == "learning" else "film")
-        print(still or out)
-        return
-    if alone:
-        files.append(_folder(path[0]) / f"{page}.rbl")
-        shows.page_layout(files[-1].parent, file, page).save(stream.APPLICATION, str(files[-1]))
-    if still is not None:
-        viewer.still(files, still, at, size)
-        print(still)
-    elif out is not None:
-        print(out)
-    elif viewer.has_display():
-        viewer.open_window(*files)
-        print(f"opened {file} in the Rerun viewer")
+        file, layout = _compare(path, compare, seed, whole)
     else:
-        process, address, _ = viewer.serve(*files)
-        _wait(process, f"no display here; open {address} in a browser (from afar, forward its ports with ssh -L). Ctrl-C ends it.")
+        file = viewer.recording_of(_recording(path[0], rebuild, whole))
+        layout = lambda excerpt: shows.page_layout(_folder(path[0]), file, page, excerpt)  # noqa: E731
+    if frozen:
+        _freeze(file, "compare" if compare else page, at, layout, still, size, out)
+    elif still is not None:
+        viewer.still([file], still, at, size)
+    elif out is None:
+        files = [file]
+        if page is not None and not compare:
+            files.append(_folder(path[0]) / f"{page}.rbl")
+            layout(False).save(stream.APPLICATION, str(files[-1]))
+        _open(*files)
+        return
+    print(still or out)
 
 
 def _folder(path: Path) -> Path:
@@ -105,29 +82,105 @@ def _folder(path: Path) -> Path:
     return path if path.is_dir() else path.parent
 
 
+def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
+    """A run folder or recording to be looked at; made first where that is asked for, or the only way."""
+    if path.suffix == ".jsonl":
+        from toolkit.recording.deployment import record_deployment
+
+        return record_deployment(path)
+    if not rebuild:
+        return path
+    from toolkit.recording import shows
+
+    file = out or path / "recording.rrd"
+    print(shows.rebuild(_known(path), file))
+    return file
+
+
+def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: Path | None) -> "tuple[Path, Layout]":
+    """A recording of policies side by side, and its layout."""
+    from toolkit.recording import shows
+
+    file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
+    sides = _sides(paths, targets)
+    films = shows.compare(sides, file, seed)
+    labels = [label for label, _, _ in sides]
+    print("; ".join(f"{label}: {film.verdict()}" for label, film in zip(labels, films, strict=True)))
+    return file, lambda excerpt: shows.compare_layout(labels, excerpt)
+
+
+def _freeze(file: Path, page: str, at: float | None, layout: "Layout", still: Path | None, size: str, out: Path | None) -> None:
+    """One page at one moment, as a recording of its own, as a picture, or both."""
+    from toolkit.recording import excerpt, viewer
+
+    moment = excerpt.moment_of(file, at, page)
+    with TemporaryDirectory() as folder:
+        cut = out or Path(folder) / f"{page}.rrd"
+        excerpt.excerpt(file, page, moment, layout(True), cut)
+        if still is not None:  # of the excerpt: there at once, and its curves have a cursor to show the moment
+            moves = page in ("rollouts", "learning", "compare")
+            viewer.still([cut], still, moment if moves else None, size, "iteration" if page == "learning" else "film")
+
+
+def _open(*files: Path) -> None:
+    """In a window, or served to a browser until Ctrl-C."""
+    from toolkit.recording import viewer
+
+    if viewer.has_display():
+        viewer.open_window(*files)
+        print(f"opened {files[0]} in the Rerun viewer")
+    else:
+        process, address, _ = _serve(*files)
+        _wait(process, f"no display here; open {address} in a browser (from afar, forward its ports with ssh -L). Ctrl-C ends it.")
+
+
+def _serve(*files: Path) -> "tuple[subprocess.Popen, str, str]":
+    """As viewer.serve; a plain kill of this process is then as Ctrl-C, so that the server does not outlive it."""
+    import signal
+
+    from toolkit.recording import viewer
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    return viewer.serve(*files)
+
+
 def _follow(folder: Path) -> None:
+    """Show a transfer while it runs; it need not have begun."""
+    if folder.exists():
+        transfer_config(folder)
+    try:
+        _follow_running(_begun(folder))
+    except KeyboardInterrupt:
+        print("stopped looking; the transfer does not notice")
+
+
+def _begun(folder: Path) -> "Known":
+    """A run as soon as its transfer has its tree."""
     import time
 
-    from toolkit.recording import shows, viewer
+    from toolkit.recording.shows import POLL
 
-    _content(folder)
     waits = lambda: not (folder / "tree.json").exists() and not (folder / "report.json").exists()  # noqa: E731
     if waits():
-        print("waiting for the transfer to begin: it measures and merges its robots first", flush=True)
+        why = "it measures and merges its robots first" if folder.exists() else "there is no such run folder yet"
+        print(f"waiting for the transfer of {folder} to begin: {why}", flush=True)
     while waits():
-        time.sleep(shows.POLL)
-    known = _known(folder)
+        time.sleep(POLL)
+    return _known(folder)
+
+
+def _follow_running(known: "Known") -> None:
+    from toolkit.recording import shows, viewer
+
     if viewer.has_display():
         process, proxy = viewer.follow_window()
         print("following the run in the Rerun viewer; close it, or Ctrl-C, to stop")
     else:
-        process, address, proxy = viewer.serve()
+        process, address, proxy = _serve()
         print(f"no display here; open {address} in a browser. Ctrl-C ends it.", flush=True)
     try:
         shows.follow(known, proxy, until=lambda: process.poll() is not None)
         _wait(process, "the run has ended; Ctrl-C ends the viewer")
-    except KeyboardInterrupt:
-        print("stopped looking; the transfer does not notice")
     finally:
         process.terminate()
 
@@ -145,35 +198,25 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
     if len(targets) not in (1, 2) or len(paths) * len(targets) < 2:
         raise ToolkitError("compare two targets of a run (RUN --compare A B), or one target of two (RUN RUN --compare A)")
     pairs = [(paths[0], targets[0]), (paths[-1], targets[-1])]
-    every = [name for path in paths for name in _content(path)["targets"]]
+    every = [name for path in paths for name in transfer_config(path)["targets"]]
     merged = tuple(dict.fromkeys(every))
     known = {path: _known(path, merged) for path in paths}
     labels = [name if len(paths) == 1 else f"{path.name}: {name}" for path, name in pairs]
     return [(label, known[path], name) for label, (path, name) in zip(labels, pairs, strict=True)]
 
 
-def _content(folder: Path) -> dict:
-    from toolkit.runs import Run
-
-    content = Run.open(folder).config
-    missing = [key for key in ("source", "targets", "task") if key not in content]
-    if missing:
-        raise ToolkitError(f"{folder / 'config.json'} has no {missing[0]!r}, so it is no transfer's run folder")
-    return content
-
-
 def _known(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     """A run folder with everything needed to play it again."""
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import entry_names, load_expert
+    from toolkit.expert import POLICY_FILE, entry_names, load_expert
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.recording.shows import Known
     from toolkit.simulation.plant import native_plant
 
-    content = _content(folder)
+    content = transfer_config(folder)
     task = find_task(content["task"])
     lab = make_lab(content["source"], targets or content["targets"], content["task"])
-    files = {name: folder / f"{name}.policy.safetensors" for name in content["targets"]}
+    files = {name: folder / f"{name}{POLICY_FILE}" for name in content["targets"]}
     names = entry_names(OBSERVATION), entry_names(ACTION)
     trained = {name: GaussianPolicy.load(file, *names) for name, file in files.items() if file.is_file()}
     policy, _ = load_expert(content["source"], content["task"], content.get("expert"))

@@ -53,17 +53,24 @@ def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":
     return Lab(systems[0], systems[1:], find_task(task))
 
 
-def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]]:
-    """Config of a run folder or bundle, and its policies by target."""
-    from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, entry_names
-    from toolkit.learning.policy import GaussianPolicy
+def transfer_config(folder: Path) -> dict:
+    """Config of a transfer's run folder; it names its source, targets and task."""
     from toolkit.runs import Run
 
     content = Run.open(folder).config
     missing = [key for key in ("source", "targets", "task") if key not in content]
     if missing:
         raise ToolkitError(f"{folder / 'config.json'} has no {missing[0]!r}, so it is no transfer's run folder")
+    return content
+
+
+def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]]:
+    """Config of a run folder or bundle, and its policies by target."""
+    from tasks.pick import ACTION, OBSERVATION
+    from toolkit.expert import POLICY_FILE, entry_names
+    from toolkit.learning.policy import GaussianPolicy
+
+    content = transfer_config(folder)
     found = {}
     for name in content["targets"] if target is None else [target]:
         if name not in content["targets"]:

@@ -88,7 +88,7 @@ def excerpt(file: Path, page: str, at: float, layout: rrb.Blueprint, out: Path) 
         raise ToolkitError(f"{file} shows nothing of the page {page} at {at:g}; choose another --at, or remake it with --rebuild")
     stream = Stream(out)
     stream.arrange(layout)
-    for entity, parts in _baked(state):
+    for entity, parts in _baked({entity: parts for entity, parts in state.items() if parts}):
         stream.static(entity, [rr.DescribedComponentBatch(part, part.descriptor) for part in parts.values()])
     for entity, stamps, rows in curves:
         columns = rr.Scalars.columns(scalars=np.concatenate(rows)).partition([len(row) for row in rows])

@@ -7,6 +7,8 @@ import rerun.blueprint as rrb
 
 from toolkit.recording.stream import FILM, ITERATION
 
+Layout = Callable[[bool], rrb.Blueprint]
+"""Makes the layout of a recording, or of an excerpt of it."""
 PAGES = ("evolution", "morph", "rollouts", "learning", "summary")
 BACKGROUND = (236, 239, 244)
 EYE = (np.array([0.52, -0.92, 1.45]), np.array([-0.22, 0.0, 1.08]))

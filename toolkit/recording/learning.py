@@ -3,6 +3,7 @@
     learning/<key>     as many numbers per row as there are paths; NaN where a path is not at work
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,12 +31,11 @@ class LearningPage:
 
     Args:
         stream: to draw into.
-        count: how many paths there may be; the viewer wants as many numbers in every row.
+        paths: names of all that have a line; the viewer wants as many numbers in every row.
     """
 
-    def __init__(self, stream: Stream, count: int) -> None:
-        self.stream = stream
-        self.paths = [f"path {k + 1}" for k in range(count)]
+    def __init__(self, stream: Stream, paths: Sequence[str]) -> None:
+        self.stream, self.paths = stream, list(paths)
         self._wall: dict[str, float] = {}
         self._before = 0.0
         self._waiting: dict[str, list[np.ndarray]] = {}

@@ -33,7 +33,7 @@ POLL = 1.0
 """[s] between two looks at a running transfer's folder."""
 APART = 1.1
 """[m] between two robots that stand side by side."""
-FRONT = np.array([1.35, 0.0, 1.6]), np.array([-0.25, 0.0, 1.08])
+FRONT = np.array([1.0, 0.0, 1.5]), np.array([-0.25, 0.0, 1.17])
 """Where robots side by side are seen from, and the point looked at [m]."""
 
 
@@ -102,9 +102,7 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
     tree = known.tree()
     run = Run.open(known.folder)
     records = run.read_metrics()
-    story = Story(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native)
-    for record in records:
-        story.tell(record)
+    story = Story(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native, records=records)
     if story.cost.known == 0:
         for phase in _last_phases(known):
             story.append(phase)
@@ -130,10 +128,10 @@ def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False)
     story = Story(Stream(viewer), known.folder, known.merged, known.tree(), known.policy, known.native)
     told = 0
     while not until():
-        records = _whole_records(known.folder / "metrics.jsonl")
+        records = Run.open(known.folder).read_metrics()
         for record in records[told:]:
             story.tell(record)
-        told = len(records)
+        told = max(told, len(records))  # a resumed transfer drops records, and writes the very same again
         if (known.folder / "report.json").exists():
             story.summary(_summary(known.folder, records))
             break
@@ -165,7 +163,7 @@ def morph(merged: MergedRobot, source: str, targets: Sequence[str], path: Path, 
         scene.label(clock, iterations, [f"{source} to {target}"])
         edges = _edges_to(plan, source, target)
         for edge in edges:
-            own = [k for k, alpha in enumerate(alphas) if 0 < plan.fraction(edge, alpha) <= 1 and _nearest(plan, edges, alpha) is edge]
+            own = [k for k, alpha in enumerate(alphas) if _nearest(plan, edges, alpha) is edge]
             if own:
                 page.visit(times[own], iterations, alphas[own], sorted(plan.below[edge["to"]]))
         clock = float(times[-1]) + 1.0
@@ -238,13 +236,6 @@ def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
     arrived = [record["target"] for record in records if record["event"] == "arrived"]
     return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {', '.join(arrived) or 'none yet'}. "
             "Continue it with `meta-evolve transfer --run RUN --resume` and the settings of its config.json.")  # fmt: skip
-
-
-def _whole_records(file: Path) -> list[dict[str, Any]]:
-    """Records of a file that another process writes; a torn last line is left for the next look."""
-    if not file.exists():
-        return []
-    return [json.loads(line) for line in file.read_bytes().split(b"\n")[:-1]]
 
 
 def _edges_to(plan: Plan, source: str, target: str) -> list[dict[str, Any]]:

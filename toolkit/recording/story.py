@@ -4,7 +4,7 @@ The same story is told while the run goes on, when a run folder is rebuilt, and 
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,7 @@ class Story:
         policy: any policy of the run's networks.
         native: target name -> its unmodified robosuite robot as a plant (made when first needed).
         share: of the wall time that the story may take; None: all it wants.
+        records: of metrics.jsonl that are there already; they are told at once.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Story:
         policy: GaussianPolicy,
         native: Callable[[str], Plant] | None = None,
         share: float | None = None,
+        records: Sequence[dict[str, Any]] = (),
     ) -> None:
         self._began = self._busy_since = time.perf_counter()
         self.cost = Cost()
@@ -91,7 +93,7 @@ class Story:
         self._casting = Casting(merged, wardrobe)
         self.plan = Plan(tree)
         self.evolution = EvolutionPage(stream, self.plan, merged.space)
-        self.learning = LearningPage(stream, len(self.plan.edges) + 1)
+        self.learning = LearningPage(stream, dict.fromkeys([*self.plan.paths, *(record["path"] for record in records)]))
         self.rollouts = RolloutsPage(stream, merged.task.goal_tolerance)
         self.scene = Scene(stream, merged, wardrobe)
         self.summary("The run goes on; this page fills when it ends.")
@@ -103,6 +105,8 @@ class Story:
         self.rollouts.caption(0.0, 0, f"**{source}**, the source robot.")
         self.clock = 1.0
         self._rest()
+        for record in records:
+            self.tell(record)
 
     def tell(self, record: dict[str, Any]) -> None:
         """One record of metrics.jsonl, in order. Unknown events only move the curves on."""

@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rerun.chunk import RrdReader
 
@@ -14,13 +15,16 @@ from toolkit.errors import ToolkitError
 from toolkit.recording.programs import viewer_program
 from toolkit.recording.stream import FILM
 
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
 WEB_PORT, VIEWER_PORT = 9090, 9876
 """The viewer's own defaults."""
 STILL_SIZE = "1600x1000"
 STILL_PATIENCE = 180.0
 """[s] that a viewer without a screen may take to show a recording."""
-SETTLING = 6.0
-"""[s] until meshes and texts are loaded, frame by frame, and the viewer's own notices are gone."""
+LOOK = 1.0
+"""[s] between two looks at a viewer without a screen; meshes and texts are loaded, frame by frame, when two look the same."""
 
 
 def has_display() -> bool:
@@ -93,7 +97,8 @@ def still(files: Sequence[Path], out: Path, at: float | None = None, size: str =
     moment = {} if at is None else {"sequence": int(at)} if timeline != FILM else {"duration": float(at)}
     port = free_port(VIEWER_PORT)
     command = [str(viewer_program()), *map(str, files), "--headless", "--port", str(port), "--window-size", size]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    calm = os.environ | {"RUST_LOG": "error"}  # what it would log it also shows, over the picture
+    process = subprocess.Popen(command, env=calm, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if not _answers(port, process):
             raise ToolkitError(
@@ -119,18 +124,26 @@ def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str,
         try:
             client = ViewerClient(f"127.0.0.1:{port}")
             if _shows(client):
+                client.run_command("ui.toggle_top_panel")
                 if moment:
                     client.set_time(timeline, **moment, play_state="paused")
-                time.sleep(SETTLING)
-                client.take_screenshot()
-                return client.take_screenshot()
+                return _settled(client, deadline)
         except (TimeoutError, RuntimeError, ConnectionError) as error:
             problem = error
-        time.sleep(0.5)
+        time.sleep(LOOK)
     raise ToolkitError(f"the viewer did not show {file} within {STILL_PATIENCE:.0f} s ({problem}); see `meta-evolve doctor`")
 
 
-def _shows(client: object) -> bool:
+def _settled(client: "ViewerClient", deadline: float) -> bytes:
+    """The picture that does not change any more; on a busy machine, the last one before the deadline."""
+    before, picture = b"", client.take_screenshot()
+    while picture != before and time.monotonic() < deadline:
+        time.sleep(LOOK)
+        before, picture = picture, client.take_screenshot()
+    return picture
+
+
+def _shows(client: "ViewerClient") -> bool:
     state = client.get_state()
     return bool(getattr(state, "recordings", None)) and getattr(state, "active_recording", True) is not None
 
