@@ -32,16 +32,16 @@ def pages_layout(views: Callable[[], dict[str, rrb.View]], page: str | None = No
     wanted = [page] if page in PAGES else PAGES
     built = {name: container for name in wanted if (container := _page(name, views())) is not None}
     root = built[page] if page in built else rrb.Tabs(*built.values(), active_tab=0)
-    return quiet_layout(root, timeline)
+    return quiet_layout(root, timeline, moves=page != "summary")
 
 
-def quiet_layout(root: rrb.Container, timeline: str) -> rrb.Blueprint:
+def quiet_layout(root: rrb.Container, timeline: str, moves: bool = True) -> rrb.Blueprint:
     """A layout without the viewer's side panels, which play a timeline again and again."""
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=timeline, loop_mode="all"),
+        rrb.TimePanel(state="collapsed" if moves else "hidden", timeline=timeline, loop_mode="all"),
         auto_views=False,
     )
 

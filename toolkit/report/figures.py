@@ -26,6 +26,9 @@ PANELS = {
 PAGE = 4.8
 """[inch] of a figure: as wide as a phone in points, so that its letters can be read there too."""
 
+PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+"""Behind letters that may stand on a line."""
+
 
 def png(figure: Figure) -> bytes:
     """The figure as a PNG."""
@@ -52,14 +55,15 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
     for edge in plan.edges:
         line = plan.stretch(edge, 0.0, 1.0)
         axes.plot(*line.T, color="#bbbbbb", linewidth=1.2, zorder=1)
-        axes.annotate(f"{edge['length']:.1f}", (line[-2] + line[-1]) / 2 + (0, -8), ha="center", va="bottom", fontsize=8, color="#444444")
+        axes.annotate(f"{edge['length']:.1f}", (line[-2] + line[-1]) / 2 + (0, -8), ha="center", va="bottom", fontsize=8, color="#444444",
+                      bbox=PAPER, zorder=4)  # fmt: skip
     for start, end, share, success in walked:
         edge = next(edge for edge in plan.edges if (edge["from"], edge["to"]) == (start, end))
         line = plan.stretch(edge, 0.0, share)
         grey = 0.75 - 0.75 * (success if success is not None else 0.3)
         axes.plot(*line.T, color=str(grey), linewidth=4.5, zorder=2, solid_capstyle="butt")
         text = "walked" if success is None else f"success {success:.0%}"
-        axes.annotate(text, (line[-2] + line[-1]) / 2 + (0, 10), ha="center", va="top", fontsize=8)
+        axes.annotate(text, (line[-2] + line[-1]) / 2 + (0, 10), ha="center", va="top", fontsize=8, bbox=PAPER, zorder=4)
     for name, node in plan.nodes.items():
         marker = {"source": "s", "meta": "D", "target": "o"}[node["kind"]]
         axes.plot(*plan.places[name], marker, color="white", markeredgecolor="black", markersize=9, zorder=3)
@@ -84,7 +88,7 @@ def projection_figure(plan: Plan, ways: Sequence[np.ndarray]) -> Figure:
     for name, spot in index.items():
         marker = {"source": "s", "meta": "D", "target": "o"}[plan.nodes[name]["kind"]]
         axes.plot(*spot[:2], marker, color="white", markeredgecolor="black", markersize=8, zorder=3)
-        axes.annotate(name, spot[:2], xytext=(7, 5), textcoords="offset points", fontsize=9)
+        axes.annotate(name, spot[:2], xytext=(7, 5), textcoords="offset points", fontsize=9, bbox=PAPER)
     share = [*plan.share, 0.0, 0.0]
     axes.set_xlabel(f"1st principal component ({share[0]:.0%} of the variance)", fontsize=8)
     axes.set_ylabel(f"2nd ({share[1]:.0%})", fontsize=8)
@@ -97,9 +101,9 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
     """alpha of robots (D,) as matrices: a row per joint or shape, a column per quantity, white 0 to black 1."""
     places, rows, columns = matrix(space)
     width = int(places[:, 0].max()) + 1
-    figure = _figure(PAGE, (0.1 * len(rows) + 0.9) * ((len(robots) + 1) // 2))
-    panels = np.atleast_1d(figure.subplots((len(robots) + 1) // 2, min(len(robots), 2), sharex=True, sharey=True)).ravel()
-    for axes, (name, alpha) in zip(panels, robots.items(), strict=False):
+    figure = _figure(PAGE, (0.095 * len(rows) + 0.3) * len(robots) + 0.7)
+    panels = figure.subplots(len(robots), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, alpha) in zip(panels, robots.items(), strict=True):
         image = np.full((len(rows), width), np.nan)
         image[places[:, 1].astype(int), places[:, 0].astype(int)] = alpha
         axes.set_facecolor("#f2f2f2")
@@ -107,11 +111,9 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
         for line in range(1, len(rows)):
             axes.axhline(line - 0.5, color="white", linewidth=0.4)
         axes.set_title(name, fontsize=9, loc="left")
-        axes.set_yticks(range(len(rows)), rows, fontsize=4)
-        axes.set_xticks(list(columns.values()), list(columns), rotation=90, fontsize=4)
+        axes.set_yticks(range(len(rows)), rows, fontsize=6)
+        axes.set_xticks(list(columns.values()), list(columns), rotation=90, fontsize=5)
         axes.tick_params(length=0)
-    for axes in panels[len(robots) :]:
-        axes.set_axis_off()
     return figure
 
 
@@ -144,7 +146,7 @@ def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
     panels[-1].set_xlabel("record of metrics.jsonl", fontsize=8)
     lines = {line.get_label(): line for axes in panels for line in axes.lines if not line.get_label().startswith("_")}
     if lines:
-        figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=4, fontsize=7, frameon=False)
+        figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=5, fontsize=7, frameon=False)
     return figure
 
 

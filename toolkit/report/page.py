@@ -29,9 +29,10 @@ img { width: 100%; max-width: 40rem; height: auto; display: block; margin: .5rem
 figure { margin: 0; } figcaption { color: #444; font-size: .9rem; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th, td { border-bottom: 1px solid #ccc; padding: .3rem .6rem; text-align: left; vertical-align: top; }
-th { border-bottom: 2px solid #111; } td.number { text-align: right; }
+th { border-bottom: 2px solid #111; } td:first-child { white-space: nowrap; } td.number { text-align: right; }
 pre { overflow-x: auto; background: #f4f4f4; padding: .6rem; font-size: .8rem; }
 .bar { display: inline-block; height: .7em; background: #444; vertical-align: middle; margin-right: .4em; }
+@media (max-width: 30rem) { table { font-size: .8rem; } th, td { padding: .25rem .3rem; } .bar { display: none; } }
 .note { border-left: 4px solid #111; padding: .2rem .8rem; background: #f4f4f4; }
 """
 

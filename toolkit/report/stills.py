@@ -11,7 +11,7 @@ from toolkit.errors import ToolkitError
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 
-CAMERA = {"lookat": (-0.25, 0.0, 1.1), "distance": 1.2, "azimuth": 125.0, "elevation": -18.0}
+CAMERA = {"lookat": (-0.17, 0.0, 1.06), "distance": 1.05, "azimuth": 125.0, "elevation": -18.0}
 """Where the picture is taken from: [m], [m], [deg], [deg]."""
 
 
