@@ -197,12 +197,26 @@ def test_fingers_close_where_the_hand_is_aligned_and_not_beside_it():
     assert beside[2] > aligned[2], "a hand beside the object comes down"
 
 
+def test_fingers_that_closed_beside_the_object_open_and_come_back_over_it():
+    """A hand overshoots: without this it lifts nothing for the rest of the episode."""
+    script = TrackScript(straight_track(), np.array([0.0, 0.1, 0.2]), CLOSING)
+    beside = script._offset[-1] + [-0.045, 0.0, -0.02]
+    for progress in (1.0, 0.5, 0.0):
+        action = script(observation_of(object_from_grasp=beside, closing_progress=progress, goal_from_object=[0.0, 0.1, 0.2]))
+        assert (action[6:] == -1).all(), f"at progress {progress} the fingers stay closed on nothing"
+        assert action[0] < 0 < action[2], "the hand does not go back, above the object"
+    held = script(observation_of(object_from_grasp=script._offset[-1] + [0.0, 0.01, -0.01], closing_progress=1.0,
+                                 goal_from_object=[0.0, 0.1, 0.2]))  # fmt: skip
+    assert (held[6:] == 1).all() and held[2] > 0.5, "what is held, if a little off, is let go"
+
+
 def test_a_held_object_is_carried_to_the_tasks_goal():
     offset = np.array([0.0, 0.1, 0.2])
     script = TrackScript(straight_track(), offset, CLOSING)
-    at_goal = script(observation_of(closing_progress=1))
+    held = dict(closing_progress=1, object_from_grasp=script._offset[-1])
+    at_goal = script(observation_of(**held))
     np.testing.assert_allclose(at_goal[:3], 0, atol=1e-9)
-    lifted = script(observation_of(closing_progress=1, goal_from_object=offset))
+    lifted = script(observation_of(**held, goal_from_object=offset))
     assert lifted[2] > 0.5 and (lifted[6:] == 1).all()
 
 

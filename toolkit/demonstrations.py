@@ -113,6 +113,9 @@ class TrackScript:
     """Distance [m] from the grasp within which closing begins."""
     HOVER = 0.04
     """Height [m] kept above the track until the grasp is aligned sideways."""
+    HELD = 0.04
+    """Distance [m] of the object from the grasp beyond which closing fingers have missed it: a moving hand overshoots, so that
+    what was aligned when closing began need not be where the fingers meet."""
 
     def __init__(self, track: Track, goal_offset: np.ndarray, closing: np.ndarray) -> None:
         self.track = track
@@ -134,8 +137,13 @@ class TrackScript:
     def __call__(self, observation: np.ndarray, rng: np.random.Generator | None = None) -> np.ndarray:
         """Action (n_act,) for an observation (n_obs,); deterministic."""
         progress = float(entry(observation, "closing_progress")[0])
-        parts = self._carry(observation) if progress >= self._lift_from else self._reach(observation, progress)
-        move, turn, fingers = parts
+        offset, turned, yaw = self._object(observation)
+        missed = progress > self._started and np.linalg.norm(offset - self._offset[-1]) > self.HELD
+        if progress >= self._lift_from and not missed:
+            move, turn, fingers = self._carry(observation)
+        else:
+            move, turn, fingers = self._reach(offset, progress, missed)
+            move, turn = turned @ move, turn + np.array([0.0, 0.0, yaw])
         action = np.empty(ACTION_SIZE)
         action[:3] = np.clip(self.GAIN * move, -1.0, 1.0)
         sine = entry(observation, "grasp_rotation")
@@ -145,25 +153,30 @@ class TrackScript:
         action[6:] = fingers
         return action
 
-    def _reach(self, observation: np.ndarray, progress: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _object(self, observation: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """The object from the grasp frame (3,) [m] in the axes of an object that stands as recorded, those axes (3, 3), its yaw [rad]."""
         yaw = 0.0 if self.track.round else float(np.arcsin(np.clip(entry(observation, "object_rotation")[2], -1.0, 1.0)))
         c, s = np.cos(yaw), np.sin(yaw)
         turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        offset = turned.T @ entry(observation, "object_from_grasp")
+        return turned.T @ entry(observation, "object_from_grasp"), turned, yaw
+
+    def _reach(self, offset: np.ndarray, progress: float, missed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Way to go (3,) [m], turn (3,) [rad] and finger targets, in the axes of ``_object``."""
+        if missed:
+            progress = self._progress[0]  # back over the object with open fingers
         far = ((self._offset - offset) ** 2).sum(axis=1) / self.NEAR**2 + ((self._progress - progress) / self.PROGRESS) ** 2
         nearest = int(np.argmin(far))
         ahead = min(nearest + self.AHEAD, len(self._offset) - 1)
         move = offset - self._offset[ahead]
         aside = float(np.hypot(*(offset - self._offset[nearest])[:2]))
-        move[2] += self.HOVER * np.clip((aside - 0.01) / 0.03, 0.0, 1.0)
+        move[2] += self.HOVER * (1.0 if missed else np.clip((aside - 0.01) / 0.03, 0.0, 1.0))
         left = np.abs(offset - self._offset[-1])
         aligned = np.hypot(left[0], left[1]) < self.ALIGNED and left[2] < 1.25 * self.ALIGNED
         if aligned or progress > self._started:
             closing = max(nearest, self._preshape) + self.AHEAD
         else:
             closing = min(ahead, self._preshape)
-        closing = min(closing, len(self._fingers) - 1)
-        return turned @ move, self._turn[ahead] + np.array([0.0, 0.0, yaw]), self._fingers[closing]
+        return move, self._turn[ahead], self._fingers[min(closing, len(self._fingers) - 1)]
 
     def _carry(self, observation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         goal = entry(observation, "goal_from_object")
