@@ -164,7 +164,7 @@ class Killed(Exception):
 
 
 def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
-    """With recorded teachers, whose demonstrations pull the updates; killed once before cloning and once between updates."""
+    """With recorded teachers, whose demonstrations pull the updates; killed before cloning, in both rounds of visits, in an update."""
     config = ExpertConfig(demonstrations=3, copies=1, trials=3, rounds=2, mastered=1.5, visits=2, updates=2,
                           cloning=CloningConfig(epochs=2), npg=NpgConfig(batch_size=2))  # fmt: skip
     asked = []
@@ -177,10 +177,10 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     whole = train_expert(engine, SOURCE, config, teachers=teachers, run=Run.create(run, {}))
     run = tmp_path / "killed"
     Run.create(tmp_path / "killed", {})
-    for event in ("demonstrations", "update", None):
+    for event, round_ in (("demonstrations", None), ("visits", 1), ("visits", 2), ("update", None), (None, None)):
 
-        def kill(record, event=event):
-            if record["event"] == event:
+        def kill(record, event=event, round_=round_):
+            if record["event"] == event and record.get("round") == round_:
                 raise Killed
 
         try:
@@ -190,7 +190,9 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     np.testing.assert_array_equal(again[0].parameters, whole[0].parameters)
     np.testing.assert_array_equal(again[1].parameters, whole[1].parameters)
     assert again[2] == whole[2] and whole[2]["recordings"] == 2 and whole[2]["teacher"] == "good"
-    assert asked == [0, 0, 0], "recordings are retargeted again after cloning"
+    assert asked == [0, 0, 0, 2, 2], "recordings are retargeted again after cloning, or a round begins from nothing"
+    arrays, kept = Run.open(run).load_checkpoint("lessons")
+    assert len(arrays["seen"]) == len(arrays["labels"]) == kept["shown"] > 0, "updates need the demonstrations alone"
     records = [Run.open(tmp_path / name).read_metrics() for name in ("whole", "killed")]
     taught = ["trial", "trial", "demonstrations", *["cloning"] * 2, *["visits", "cloning"] * 2]
     assert [r["event"] for r in records[0]] == [*taught, *["update"] * 2]

@@ -98,14 +98,18 @@ def _with_noise(observations: np.ndarray, script: Script, copies: int, rng: np.r
 
 @dataclass(frozen=True, eq=False)
 class _Lessons:
-    """What a teacher did: steps of the kept demonstrations, and what is cloned, noisy copies and visited states included."""
+    """What is cloned: states (N, n_obs) that were seen and what the teacher does there (N, n_act).
 
-    observations: np.ndarray
-    actions: np.ndarray
+    The first ``shown`` are the steps of the kept demonstrations; noisy copies and visited states follow.
+    """
+
     seen: np.ndarray
     labels: np.ndarray
-    kept: int
-    played: int
+    shown: int
+
+    def first(self, rows: int) -> "_Lessons":
+        """The first rows alone."""
+        return _Lessons(self.seen[:rows], self.labels[:rows], self.shown)
 
 
 def _best_teacher(
@@ -128,16 +132,15 @@ def _best_teacher(
 
 def _demonstrate(
     stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, rng: np.random.Generator
-) -> _Lessons | None:
-    """Play a teacher, keep what succeeds, label it; None if nothing succeeds."""
+) -> tuple[_Lessons | None, int]:
+    """Play a teacher, keep what succeeds, label it; None if nothing does. Also how many episodes succeeded."""
     seeds = range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations)
     played = stage.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
     good = [episode.observations for episode in played if episode.success]
     if not good:
-        return None
+        return None, 0
     observations = np.concatenate(good)
-    seen, labels = _with_noise(observations, script, config.copies, rng)
-    return _Lessons(observations, labels[: len(observations)], seen, labels, len(good), len(seeds))
+    return _Lessons(*_with_noise(observations, script, config.copies, rng), len(observations)), len(good)
 
 
 def _visit(
@@ -170,7 +173,7 @@ def train_expert(
         teachers: gives scripts by the recordings that they follow, of which the best teaches, and counts of what became of the
             recordings; asked only if cloning is still to be done. Its demonstrations also pull the updates (DAPG). None: the script that
             is written for the object, and updates by reward alone.
-        run: keeps events and, after cloning and after every update, everything that is needed to go on; a run that has a
+        run: keeps events and, after every cloning and every update, everything that is needed to go on; a run that has a
             checkpoint is continued.
 
     Returns:
@@ -182,10 +185,11 @@ def train_expert(
     rng = np.random.default_rng(config.seed)
     beta = engine.merged.space.beta(source)
     policy, value = new_learner(config.seed)
-    training = _Training(engine, beta, config, policy, value, rng, report, run)
-    if not training.restore():
+    training = _Training(engine, beta, config, policy, value, rng, teachers is not None, report, run)
+    training.restore()
+    if not training.cloned:
         scripts, counts = ({"script": pick_script(engine.merged.task.object)}, {}) if teachers is None else teachers()
-        training.clone(source, scripts, counts, teachers is not None)
+        training.clone(source, scripts, counts)
     while training.updates < config.updates:
         training.update()
     return policy, value, training.card
@@ -196,13 +200,13 @@ class _Training:
 
     def __init__(
         self, engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, policy: GaussianPolicy, value: ValueFunction,
-        rng: np.random.Generator, report: Callable[[dict[str, Any]], None], run: Run | None,
+        rng: np.random.Generator, recorded: bool, report: Callable[[dict[str, Any]], None], run: Run | None,
     ) -> None:  # fmt: skip
-        self.engine, self.beta, self.config = engine, beta, config
+        self.engine, self.beta, self.config, self.recorded = engine, beta, config, recorded
         self.policy, self.value, self.rng, self.run = policy, value, rng, run
         self._report, self._records = report, 0
-        self.updates, self.card = 0, {}
-        self.demonstrations: Demonstrations | None = None
+        self.updates, self.rounds, self.cloned, self.card = 0, 0, False, {}
+        self.lessons: _Lessons | None = None
 
     def report(self, record: dict[str, Any]) -> None:
         """Tell whoever watches, and the run."""
@@ -211,35 +215,49 @@ class _Training:
             self.run.append_metrics(record)
             self._records += 1
 
-    def clone(self, source: str, scripts: dict[str, Script], counts: dict[str, int], recorded: bool) -> None:
-        """Demonstrations, behaviour cloning, and rounds of visiting with a recorded teacher."""
-        config, policy, rng = self.config, self.policy, self.rng
+    def clone(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> None:
+        """Demonstrations, behaviour cloning, and rounds of visiting with a recorded teacher; from where the run was left."""
+        if self.lessons is None:
+            self._first_lessons(source, scripts, counts)
+        if self.recorded:
+            self._visits(scripts[self.card["teacher"]])
+            self.cloned = True
+            self.checkpoint()
+
+    def _first_lessons(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> None:
+        """Choose the teacher, let it demonstrate, clone it."""
+        config = self.config
         strict = replace(self.engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
         stage = RolloutEngine(MergedRobot(self.engine.merged.space, strict), self.engine.threads)
         name = _best_teacher(stage, self.beta, config, scripts, self.report)
-        script = scripts[name]
-        lessons = _demonstrate(stage, self.beta, config, script, rng)
+        lessons, kept = _demonstrate(stage, self.beta, config, scripts[name], self.rng)
         stage.close()
-        kept = 0 if lessons is None else lessons.kept
         self.report({"event": "demonstrations", "played": config.demonstrations, "kept": kept})
         if lessons is None:
-            kind = "recorded" if recorded else "scripted"
+            kind = "recorded" if self.recorded else "scripted"
             raise ToolkitError(f"none of {config.demonstrations} {kind} demonstrations succeeds on {source}; check its grasp posture")
         self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations} | counts
-        self._fit(lessons, config.cloning)
-        if recorded:
+        if self.recorded:
             self.card["teacher"] = name
-            again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
-            for round_ in range(1, config.rounds + 1):
-                lessons, success = _visit(self.engine, self.beta, config, script, policy, lessons, round_, rng)
-                self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
-                if success >= config.mastered:
-                    break
-                self._fit(lessons, again)
-            self.demonstrations = Demonstrations(lessons.observations, lessons.actions)
-            if self.run is not None:
-                arrays = {"observations": lessons.observations, "actions": lessons.actions}
-                self.run.save_checkpoint("demonstrations", arrays, {})
+        self.cloned = not self.recorded
+        self._learn(lessons, config.cloning)
+
+    def _visits(self, script: Script) -> None:
+        """The clone plays and its teacher says what it would have done, until the clone has mastered the task."""
+        config = self.config
+        again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
+        while self.rounds < config.rounds:
+            round_ = self.rounds + 1
+            lessons, success = _visit(self.engine, self.beta, config, script, self.policy, self.lessons, round_, self.rng)
+            self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
+            if success >= config.mastered:
+                break
+            self.rounds = round_
+            self._learn(lessons, again)
+
+    def _learn(self, lessons: _Lessons, config: CloningConfig) -> None:
+        self._fit(lessons, config)
+        self.lessons = lessons
         self.checkpoint()
 
     def _fit(self, lessons: _Lessons, config: CloningConfig) -> None:
@@ -252,35 +270,55 @@ class _Training:
         size = self.config.npg.batch_size
         first = EXPERT_SEEDS + self.updates * size
         batch = self.engine.play(self.policy.act, [self.beta] * size, list(range(first, first + size)))
-        shown = None if self.demonstrations is None else replace(self.demonstrations, update=self.updates)
-        statistics = npg_step(self.policy, self.value, batch, self.config.npg, self.rng, shown)
+        statistics = npg_step(self.policy, self.value, batch, self.config.npg, self.rng, self._demonstrations())
         success = float(np.mean([episode.success for episode in batch]))
         self.report({"event": "update", "update": self.updates, "success": success, **statistics})
         self.updates += 1
         self.checkpoint()
 
-    def checkpoint(self) -> None:
-        """Everything that is needed to go on, in one atomic file."""
-        if self.run is not None:
-            state = {"updates": self.updates, "card": self.card, "rng": generator_state(self.rng), "records": self._records}
-            self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
+    def _demonstrations(self) -> Demonstrations | None:
+        """What pulls the next update: a recorded teacher's kept demonstrations."""
+        if not self.recorded:
+            return None
+        shown = self.lessons.first(self.lessons.shown)
+        return Demonstrations(shown.seen, shown.labels, self.updates)
 
-    def restore(self) -> bool:
-        """Go on from the run's checkpoint; False if it has none yet."""
+    def checkpoint(self) -> None:
+        """Everything that is needed to go on: the learner in one atomic file, and beside it what it learns from.
+
+        Lessons only grow until the clone is done, and are written first: those that the learner has seen are their first rows,
+        wherever the process is killed.
+        """
         if self.run is None:
-            return False
+            return
+        if self.recorded and not self.cloned:
+            self._save_lessons(self.lessons)
+        state = {"updates": self.updates, "rounds": self.rounds, "cloned": self.cloned, "card": self.card,
+                 "rows": len(self.lessons.seen) if self.recorded else 0, "rng": generator_state(self.rng),
+                 "records": self._records}  # fmt: skip
+        self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
+        if self.recorded and self.cloned and self.updates == 0:
+            self._save_lessons(self.lessons.first(self.lessons.shown))  # all that updates need
+
+    def _save_lessons(self, lessons: _Lessons) -> None:
+        self.run.save_checkpoint("lessons", {"seen": lessons.seen, "labels": lessons.labels}, {"shown": lessons.shown})
+
+    def restore(self) -> None:
+        """Go on from the run's checkpoint, if it has one."""
+        if self.run is None:
+            return
         if "expert" not in self.run.checkpoints():
             self.run.truncate_metrics(0)
-            return False
+            return
         tensors, state = self.run.load_checkpoint("expert")
         load_learner(tensors, "expert", self.policy, self.value)
-        self.updates, self.card, self._records = state["updates"], state["card"], state["records"]
+        self.updates, self.rounds, self.cloned = state["updates"], state["rounds"], state["cloned"]
+        self.card, self._records = state["card"], state["records"]
         self.rng.bit_generator.state = generator_from_state(state["rng"]).bit_generator.state
-        if "demonstrations" in self.run.checkpoints():
-            arrays, _ = self.run.load_checkpoint("demonstrations")
-            self.demonstrations = Demonstrations(arrays["observations"], arrays["actions"])
+        if self.recorded:
+            arrays, kept = self.run.load_checkpoint("lessons")
+            self.lessons = _Lessons(arrays["seen"], arrays["labels"], kept["shown"]).first(state["rows"])
         self.run.truncate_metrics(self._records)
-        return True
 
 
 SHIPPED = Path(__file__).parent / "experts"
