@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from tasks.dexycb import FINGERS, FRAME_RATE, JOINT_NAMES, YCB_NAMES
+from tasks.dexycb import YCB_NAMES
 from tasks.objects import OBJECTS, PickObject
 
 HAND_LENGTH = 0.19
@@ -99,20 +99,9 @@ def thumb_joints(closing: float, length: float, touch: np.ndarray) -> np.ndarray
 
 
 def hand_joints(closing: Sequence[float], length: float, touch: np.ndarray) -> np.ndarray:
-    """(21, 3) [m] in hand axes, JOINT_NAMES' order, at a closing share per finger, thumb first, whose tip closes to ``touch``."""
+    """(21, 3) [m] in hand axes, in joint_3d's order, at a closing share per finger, thumb first, whose tip closes to ``touch``."""
     fingers = [thumb_joints(closing[0], length, touch), *(finger_joints(i, closing[i + 1], length) for i in range(4))]
     return np.vstack([np.zeros(3), *fingers])
-
-
-def _clearance(item: PickObject, points: np.ndarray) -> float:
-    """Smallest distance [m] of points (N, 3), in the primitive's axes, from its surface; negative inside."""
-    if item.shape == "box":
-        outside = np.abs(points) - np.array(item.half_size)
-    else:
-        radius, half_height = item.half_size
-        outside = np.stack([np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - half_height], axis=1)
-    far = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
-    return float((far + np.minimum(outside.max(axis=1), 0.0)).min())
 
 
 def closing_at_contact(item: PickObject, chain: Callable[[float], np.ndarray], centre: np.ndarray, axes: np.ndarray) -> float:
@@ -127,7 +116,7 @@ def closing_at_contact(item: PickObject, chain: Callable[[float], np.ndarray], c
     for closing in np.linspace(0.0, 1.0, 101):
         joints = chain(closing)
         bones = [joints[i] + s * (joints[i + 1] - joints[i]) for i in (1, 2) for s in np.linspace(0, 1, 6)]
-        if _clearance(item, (np.array(bones) - centre) @ axes) < PAD:
+        if item.distance((np.array(bones) - centre) @ axes).min() < PAD:
             return float(closing)
     return 1.0
 
@@ -380,7 +369,7 @@ def write_standin(
         objects: names in tasks.objects.OBJECTS.
         each: recordings per object; every fifth is of a left hand.
         seed: of everything random.
-        frames: per recording, at FRAME_RATE.
+        frames: per recording, at 25 Hz.
         progress: called with how many recordings are written, and of how many.
 
     Returns:
@@ -414,6 +403,3 @@ def write_standin(
         shutil.rmtree(root, ignore_errors=True)  # half a data set would be taken for a whole one
         raise
     return names
-
-
-assert len(JOINT_NAMES) == 1 + 4 * len(FINGERS) and FRAME_RATE > 0

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class PickObject:
@@ -47,7 +49,16 @@ class PickObject:
             x, y, z = self.half_size
             return 8 * x * y * z
         radius, half_height = self.half_size
-        return 2 * 3.141592653589793 * radius**2 * half_height
+        return 2 * np.pi * radius**2 * half_height
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance (N,) [m] of points (N, 3), in the object's axes, from its surface; negative inside."""
+        if self.shape == "box":
+            outside = np.abs(points) - np.array(self.half_size)
+        else:
+            radius, half_height = self.half_size
+            outside = np.stack([np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - half_height], axis=1)
+        return np.linalg.norm(np.maximum(outside, 0.0), axis=1) + np.minimum(outside.max(axis=1), 0.0)
 
 
 # Sizes: upright minimum-area boxes of the Google-16k scans of the YCB object set; masses: YCB object list

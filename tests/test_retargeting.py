@@ -18,7 +18,7 @@ from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
 from toolkit.demonstrations import Track, TrackScript, _stretch, entry
 from toolkit.errors import ToolkitError
 from toolkit.recordings import Dropped, Studio, teachers_for
-from toolkit.retargeting import PREFIX, REACHABLE, HandModel, surface, touching
+from toolkit.retargeting import PREFIX, REACHABLE, HandModel, touching
 from toolkit.simulation.plant import CLOSING
 
 BOX, CAN = OBJECTS["061_foam_brick"], OBJECTS["005_tomato_soup_can"]
@@ -43,30 +43,6 @@ def demonstration(studio):
 
 
 # -- distances -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("item", [BOX, CAN], ids=lambda item: item.shape)
-@given(point=points)
-def test_the_nearest_surface_point_is_on_the_surface(item, point):
-    """Walking back along the normal by the distance ends on the surface, and no surface sample is nearer."""
-    distance, normal = surface(item, point)
-    assert np.linalg.norm(normal) == pytest.approx(1.0)
-    foot = point - distance * normal
-    if item.shape == "box":
-        outside = (np.abs(foot) - item.half_size).max()
-    else:
-        outside = max(np.hypot(*foot[:2]) - item.half_size[0], abs(foot[2]) - item.half_size[1])
-    assert abs(outside) < 1e-9, f"the foot of {point} is {outside} m from the surface"
-    rng = np.random.default_rng(0)
-    on = rng.uniform(-1, 1, (2000, 3))
-    if item.shape == "box":
-        on /= np.abs(on).max(axis=1, keepdims=True)
-        on *= item.half_size
-    else:
-        radius, half = item.half_size
-        ring = on[:, :2] / np.linalg.norm(on[:, :2], axis=1, keepdims=True) * radius
-        on = np.column_stack([ring, on[:, 2] * half])
-    assert np.linalg.norm(on - point, axis=1).min() >= abs(distance) - 1e-9
 
 
 def test_a_finger_touches_with_its_last_bone():

@@ -293,36 +293,13 @@ class _Follower:
         return np.array([self.configuration.data.site(f"tip/{finger}").xpos for finger in FINGERS])
 
 
-def surface(item: PickObject, point: np.ndarray) -> tuple[float, np.ndarray]:
-    """Signed distance [m] of a point (3,) from a primitive's surface, negative inside, and the outward normal (3,) there.
-
-    Both in the primitive's axes.
-    """
-    if item.shape == "box":
-        outside = np.abs(point) - np.array(item.half_size)
-        if outside.max() <= 0:
-            k = int(np.argmax(outside))
-            return float(outside[k]), np.copysign(1.0, point[k]) * np.eye(3)[k]
-        far = np.maximum(outside, 0.0) * np.sign(point)
-        return float(np.linalg.norm(far)), far / np.linalg.norm(far)
-    radius, half_height = item.half_size
-    ring = np.hypot(point[0], point[1])
-    radial = np.array([point[0], point[1], 0.0]) / ring if ring > 1e-9 else np.array([1.0, 0.0, 0.0])
-    outside = np.array([ring - radius, abs(point[2]) - half_height])
-    cap = np.array([0.0, 0.0, np.copysign(1.0, point[2])])
-    if outside.max() <= 0:
-        return (float(outside[0]), radial) if outside[0] > outside[1] else (float(outside[1]), cap)
-    far = max(outside[0], 0.0) * radial + max(outside[1], 0.0) * cap
-    return float(np.linalg.norm(far)), far / np.linalg.norm(far)
-
-
 def touching(item: PickObject, object_pose: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """(5,) how far each finger touches, 0 to 1, from recorded joints (21, 3) [m] and the object's pose (4, 4), same axes."""
     out = np.zeros(len(FINGERS))
     for i, finger in enumerate(FINGERS):
         dip, tip = (joints[JOINT_NAMES.index(f"{finger}_{part}")] for part in ("dip", "tip"))
-        bone = [dip + share * (tip - dip) for share in (0.0, 0.5, 1.0)]
-        near = min(surface(item, object_pose[:3, :3].T @ (point - object_pose[:3, 3]))[0] for point in bone)
+        bone = np.array([dip + share * (tip - dip) for share in (0.0, 0.5, 1.0)])
+        near = item.distance((bone - object_pose[:3, 3]) @ object_pose[:3, :3]).min()
         out[i] = np.clip(1.0 - (near - CONTACT) / NEARLY, 0.0, 1.0)
     return out
 
