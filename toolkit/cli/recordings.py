@@ -158,12 +158,22 @@ def retarget_recordings(
 
 def _row(demonstration: "Demonstration") -> list[str]:
     figures = demonstration.to_json()
-    frames = ", ".join(map(str, figures["infeasible_frames"])) or "-"
     return [
         figures["recording"], figures["object"], f"{figures['tip_error_mm']:.1f}", f"{figures['worst_frame_tip_error_mm']:.1f}",
-        f"{figures['commanded_tip_error_mm']:.1f}", frames,
+        f"{figures['commanded_tip_error_mm']:.1f}", _ranges(figures["infeasible_frames"]),
         f"reached in {figures['replay_steps']}" if figures["replay_succeeded"] else "failed",
     ]  # fmt: skip
+
+
+def _ranges(frames: Sequence[int]) -> str:
+    """Frames in ascending order as "3, 21-26", or "-" for none."""
+    runs: list[list[int]] = []
+    for frame in frames:
+        if runs and frame == runs[-1][-1] + 1:
+            runs[-1].append(frame)
+        else:
+            runs.append([frame])
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs) or "-"
 
 
 def _film(studio: "Studio", shown: Sequence["Demonstration"], path: Path) -> None:

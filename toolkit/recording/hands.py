@@ -171,7 +171,7 @@ class Puppet:
 
 
 def _layout() -> rrb.Blueprint:
-    eye = rrb.EyeControls3D(position=(0.55, -0.55, 1.25), look_target=(-0.1, 0.03, 0.95), eye_up=(0.0, 0.0, 1.0))
+    eye = rrb.EyeControls3D(position=(0.31, -0.43, 1.18), look_target=(-0.1, 0.04, 0.93), eye_up=(0.0, 0.0, 1.0))
     views = [
         rrb.Spatial3DView(origin=f"/{entity}", name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
         for entity, name in (("recorded", "Recorded hand"), ("retargeted", "Robot hand"), ("replay", "Replay in simulation"))
