@@ -70,7 +70,9 @@ class TransferConfig:
     jacobian_episodes: int = 72
     """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
     threshold: float = 2 / 3
-    """Success rate for moving on (paper: 66.7 %)."""
+    """Success rate under the noise of training for moving on (paper: 66.7 %)."""
+    signal: float = 0.25
+    """Adaptive steps: such a success rate from which a robot is near enough to train on."""
     goal: float = 0.85
     """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
     shrink: float = 0.995
@@ -89,7 +91,7 @@ class TransferConfig:
     """The learner."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("threshold", 0, 1), ("goal", 0, 1), ("shrink", 0, 1), ("xi", 0, math.inf)):
+        for name, low, high in (("threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1), ("xi", 0, math.inf)):
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
@@ -298,7 +300,8 @@ class Transfer:
         if branch.next_alpha is None:
             self.choose_next(branch, step.meta_alpha)
             return
-        outcome = self.train_to(branch, self.engine, branch.next_alpha, self.config.threshold, self.config.check_episodes)
+        wanted, episodes = self.config.threshold, self.config.check_episodes
+        outcome = self.train_to(branch, self.engine, branch.next_alpha, wanted, episodes, exploring=True)
         if outcome == "held":
             length = float(np.linalg.norm(branch.next_alpha - branch.alpha))
             self.move(branch, branch.next_alpha, length, trained=True)
@@ -306,9 +309,9 @@ class Transfer:
     def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
         """Pick the next robot on the way to ``meta`` (D,).
 
-        Fixed steps go xi far. Adaptive steps try twice the last stride and halve it until the policy holds; what holds
-        is taken at once, and where even xi does not hold, training begins there. The way has one direction per choice;
-        an optimised one is estimated only once the meta robot itself is out of reach.
+        Fixed steps go xi far. Adaptive steps try twice the last stride and halve it until the policy holds, and what holds is
+        taken at once; or until it succeeds often enough to learn there, or xi is reached, and training begins. The way has one
+        direction per choice; an optimised one is estimated only once the meta robot itself is out of reach.
         """
         distance = float(np.linalg.norm(meta - branch.alpha))
         shortest = min(self.config.xi, distance)
@@ -320,13 +323,17 @@ class Transfer:
             if not last and way is None:
                 way = self.steer(branch, meta)
             candidate = meta if last else np.clip(branch.alpha + stride * way, 0.0, 1.0)
+            branch.next_alpha, branch.window, branch.updates = candidate, 1.0, 0
             if self.config.step == "fixed" or stride <= shortest:
-                break
-            if self.holds(branch, self.engine, candidate, self.config.threshold, self.config.check_episodes):
+                return
+            success = self.success(branch, self.engine, candidate, self.config.threshold, self.config.check_episodes, exploring=True)
+            if success >= self.config.threshold:
                 self.move(branch, candidate, stride, trained=False)
                 return
+            if success >= self.config.signal:
+                self.improve(branch, self.engine, candidate)  # it was measured just now
+                return
             stride = max(stride / 2, shortest)
-        branch.next_alpha, branch.window, branch.updates = candidate, 1.0, 0
 
     def steer(self, branch: Branch, meta: np.ndarray) -> np.ndarray:
         """Unit vector (D,) of the way on: straight to ``meta``, or bent to where the policy earns more.
@@ -356,21 +363,28 @@ class Transfer:
         distance = float(np.linalg.norm(self.evolution_tree(branch).meta_alpha - branch.alpha))
         self.say("moved", branch, stride=stride, distance=distance, trained=trained)
 
-    def train_to(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> Outcome:
-        """One update towards ``wanted`` success on the robot ``alpha`` (D,).
+    def train_to(
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
+    ) -> Outcome:
+        """One update towards ``wanted`` success on the robot ``alpha`` (D,), ``exploring`` or not.
 
         Returns:
             "held" if the policy has that success already, "spent" if the path's budget is, else "training".
 
-        Success is measured before the first update and after every check_every-th; training robots are drawn from the
-        part of the segment from branch.alpha to ``alpha`` that the window leaves open.
+        Success is measured before the first update and after every check_every-th.
         """
-        if branch.updates % self.config.check_every == 0 and self.holds(branch, player, alpha, wanted, episodes):
+        if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes, exploring) >= wanted:
             return "held"
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
             self.say("budget", branch, sim_epochs=cost.sim_epochs)
             return "spent"
+        self.improve(branch, player, alpha)
+        return "training"
+
+    def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> None:
+        """One update, on robots drawn from the part of the segment from branch.alpha to ``alpha`` (D,) that the window leaves open."""
+        cost = self.costs[branch.path]
         size = self.config.npg.batch_size
         shares = 1.0 - branch.window * self.rng.uniform(size=size)
         alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
@@ -393,7 +407,6 @@ class Transfer:
             kl=statistics["kl"], episodes_per_s=size / play_seconds, play_s=play_seconds,
             learn_s=statistics["seconds"],
         )  # fmt: skip
-        return "training"
 
     def played(self, player: Player, actor: Callable, alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]:
         """``player.play``, timed."""
@@ -414,25 +427,28 @@ class Transfer:
             self._shown = Demonstrations(observations, np.concatenate([episode.actions for episode in good]))
         return None if self._shown is None else replace(self._shown, update=update)
 
-    def holds(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> bool:
-        """Whether the policy without noise succeeds at least at the rate ``wanted`` on the robot ``alpha`` (D,).
+    def success(
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
+    ) -> float:
+        """Success rate of the policy on the robot ``alpha`` (D,), stopped as soon as it is sure to be at least ``wanted`` or below.
 
-        Played in batches and stopped as soon as the outcome cannot change.
+        Judged by the mean action, or ``exploring``, as it trains: on a robot that only the mean action masters there is nothing to
+        learn from, and what is trained there is lost.
         """
         needed = math.ceil(wanted * episodes)
         successes = played = 0
-        actor = lambda observation, rng: branch.policy.mean(observation)  # noqa: E731
+        actor = branch.policy.act if exploring else lambda observation, rng: branch.policy.mean(observation)
         while played < episodes and successes < needed and successes + episodes - played >= needed:
             size = min(8, episodes - played)
             batch = self.played(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
             played += size
             successes += sum(episode.success for episode in batch)
             self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
-            self.witness(branch, batch, False)
+            self.witness(branch, batch, exploring)
         self.costs[branch.path].check_episodes += played
         reach = float(np.linalg.norm(alpha - branch.alpha))
         self.say("check", branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
-        return successes >= needed
+        return successes / played
 
     # ---- what a run leaves -------------------------------------------------------------------------------------
 
