@@ -124,8 +124,8 @@ def write_results(folder: Path, title: str, command: str) -> Path:
         "evaluation, on the machine as loaded as it was.", "",
         "## Per path", "", *path_table(runs), "",
         "## On the way", "", f"![Success measured on the way]({folder.name}/curves.png)", "",
-        "Each point is one measurement of success on the next robot of the path, under the noise of training on the way and by the "
-        "mean action at a target; a point below the line means that the step was halved, or that training began there.", "",
+        "Each point is one measurement of the mean action's success on the next robot of the path; a point below the line means that "
+        "the step was halved, or that training began there.", "",
     ]  # fmt: skip
     page.write_text("\n".join(lines), encoding="utf-8")
     return page

@@ -70,9 +70,10 @@ class TransferConfig:
     jacobian_episodes: int = 72
     """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
     threshold: float = 2 / 3
-    """Success rate under the noise of training for moving on (paper: 66.7 %)."""
-    signal: float = 0.25
-    """Adaptive steps: such a success rate from which a robot is near enough to train on."""
+    """Success rate of the mean action for moving on (paper: 66.7 %)."""
+    signal: float = 1 / 3
+    """Success rate from which there is enough to learn from: under the noise of training for moving on, for what trains next learns
+    from such successes; and, adaptive, on a robot for being near enough to train there."""
     goal: float = 0.85
     """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
     shrink: float = 0.995
@@ -301,7 +302,7 @@ class Transfer:
             self.choose_next(branch, step.meta_alpha)
             return
         wanted, episodes = self.config.threshold, self.config.check_episodes
-        outcome = self.train_to(branch, self.engine, branch.next_alpha, wanted, episodes, exploring=True)
+        outcome = self.train_to(branch, self.engine, branch.next_alpha, wanted, episodes, self.config.signal)
         if outcome == "held":
             length = float(np.linalg.norm(branch.next_alpha - branch.alpha))
             self.move(branch, branch.next_alpha, length, trained=True)
@@ -326,8 +327,9 @@ class Transfer:
             branch.next_alpha, branch.window, branch.updates = candidate, 1.0, 0
             if self.config.step == "fixed" or stride <= shortest:
                 return
-            success = self.success(branch, self.engine, candidate, self.config.threshold, self.config.check_episodes, exploring=True)
-            if success >= self.config.threshold:
+            wanted, episodes = self.config.threshold, self.config.check_episodes
+            success = self.success(branch, self.engine, candidate, wanted, episodes)
+            if success >= wanted and self.success(branch, self.engine, candidate, self.config.signal, episodes, True) >= self.config.signal:
                 self.move(branch, candidate, stride, trained=False)
                 return
             if success >= self.config.signal:
@@ -364,17 +366,18 @@ class Transfer:
         self.say("moved", branch, stride=stride, distance=distance, trained=trained)
 
     def train_to(
-        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, signal: float = 0.0
     ) -> Outcome:
-        """One update towards ``wanted`` success on the robot ``alpha`` (D,), ``exploring`` or not.
+        """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and ``signal`` under noise.
 
         Returns:
             "held" if the policy has that success already, "spent" if the path's budget is, else "training".
 
         Success is measured before the first update and after every check_every-th.
         """
-        if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes, exploring) >= wanted:
-            return "held"
+        if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes) >= wanted:
+            if not signal or self.success(branch, player, alpha, signal, episodes, exploring=True) >= signal:
+                return "held"
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
             self.say("budget", branch, sim_epochs=cost.sim_epochs)
@@ -432,8 +435,8 @@ class Transfer:
     ) -> float:
         """Success rate of the policy on the robot ``alpha`` (D,), stopped as soon as it is sure to be at least ``wanted`` or below.
 
-        Judged by the mean action, or ``exploring``, as it trains: on a robot that only the mean action masters there is nothing to
-        learn from, and what is trained there is lost.
+        Judged by the mean action, or ``exploring``, as it trains: where only the mean action succeeds there is nothing to learn from,
+        and a policy that goes on from there soon loses what it had.
         """
         needed = math.ceil(wanted * episodes)
         successes = played = 0
@@ -447,7 +450,8 @@ class Transfer:
             self.witness(branch, batch, exploring)
         self.costs[branch.path].check_episodes += played
         reach = float(np.linalg.norm(alpha - branch.alpha))
-        self.say("check", branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
+        event = "explore" if exploring else "check"
+        self.say(event, branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
         return successes / played
 
     # ---- what a run leaves -------------------------------------------------------------------------------------
