@@ -51,7 +51,8 @@ SUITES: dict[str, dict[str, Entry]] = {
     "real-robots": {
         # What is to be shipped, judged over the most seeds.
         "tree-0": Entry(episodes=200),
-        "can-tree-0": Entry(task=CAN, targets=JAWS, episodes=100),
+        "can-tree-0": Entry(task=CAN, targets=JAWS, budget=3_000, episodes=100),
+        "can-independent-0": Entry(task=CAN, kind="independent", targets=JAWS, episodes=100),
         "tree-1": Entry(seed=1),
         "independent-0": Entry(kind="independent"),
         "direct-0": Entry(kind="direct"),
@@ -209,6 +210,7 @@ def bench_walk(
     metric: Metric = "l1",
     steps: int = 10,
     episodes: int = 16,
+    expert: str | None = None,
     plot: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -222,6 +224,7 @@ def bench_walk(
         metric: distance between robots.
         steps: parts of every edge.
         episodes: per robot.
+        expert: another policy of the source, as in transfer.
         plot: draw success along every edge into this file (PNG, PDF or SVG).
         json: print one JSON object.
     """
@@ -232,7 +235,7 @@ def bench_walk(
     from toolkit.expert import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
-    policy, _ = load_expert(source, task)
+    policy, _ = load_expert(source, task, expert)
     tree = lab.tree(metric, kind)
     total = len(tree.edges) * (steps + 1)
     found = []
