@@ -74,6 +74,8 @@ SUITES: dict[str, dict[str, Entry]] = {
         "independent-l2-0": Entry(kind="independent", metric="l2"),
         "optimised-0": Entry(path="optimised", step="fixed", xi=2.0, targets=JAWS),
         # The paper's schedule, coarser.
+        "fixed-tree-0": Entry(step="fixed", xi=COARSE, budget=1_500),
+        "fixed-independent-0": Entry(step="fixed", kind="independent", xi=COARSE, budget=1_500),
         "wide-fixed-tree-0": Entry(task=WIDE, step="fixed", xi=COARSE, budget=1_500),
         "wide-fixed-independent-0": Entry(task=WIDE, step="fixed", kind="independent", xi=COARSE, budget=1_500),
         "paper-tree-0": Entry(step="fixed"),
