@@ -302,7 +302,7 @@ class Transfer:
             self.choose_next(branch, step.meta_alpha)
             return
         wanted, episodes = self.config.threshold, self.config.check_episodes
-        outcome = self.train_to(branch, self.engine, branch.next_alpha, wanted, episodes, self.config.signal)
+        outcome = self.train_to(branch, self.engine, branch.next_alpha, wanted, episodes, exploring=True)
         if outcome == "held":
             length = float(np.linalg.norm(branch.next_alpha - branch.alpha))
             self.move(branch, branch.next_alpha, length, trained=True)
@@ -329,7 +329,7 @@ class Transfer:
                 return
             wanted, episodes = self.config.threshold, self.config.check_episodes
             success = self.success(branch, self.engine, candidate, wanted, episodes)
-            if success >= wanted and self.success(branch, self.engine, candidate, self.config.signal, episodes, True) >= self.config.signal:
+            if success >= wanted and self.explores(branch, self.engine, candidate):
                 self.move(branch, candidate, stride, trained=False)
                 return
             if success >= self.config.signal:
@@ -366,9 +366,9 @@ class Transfer:
         self.say("moved", branch, stride=stride, distance=distance, trained=trained)
 
     def train_to(
-        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, signal: float = 0.0
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
     ) -> Outcome:
-        """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and ``signal`` under noise.
+        """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and towards signal ``exploring``.
 
         Returns:
             "held" if the policy has that success already, "spent" if the path's budget is, else "training".
@@ -376,7 +376,7 @@ class Transfer:
         Success is measured before the first update and after every check_every-th.
         """
         if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes) >= wanted:
-            if not signal or self.success(branch, player, alpha, signal, episodes, exploring=True) >= signal:
+            if not exploring or self.explores(branch, player, alpha):
                 return "held"
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
@@ -453,6 +453,10 @@ class Transfer:
         event = "explore" if exploring else "check"
         self.say(event, branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
         return successes / played
+
+    def explores(self, branch: Branch, player: Player, alpha: np.ndarray) -> bool:
+        """Whether the policy succeeds often enough under noise on the robot ``alpha`` (D,) for what trains next to learn from it."""
+        return self.success(branch, player, alpha, self.config.signal, self.config.check_episodes, exploring=True) >= self.config.signal
 
     # ---- what a run leaves -------------------------------------------------------------------------------------
 
