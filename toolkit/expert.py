@@ -49,10 +49,10 @@ class ExpertConfig:
     rounds: int = 5
     """With recorded demonstrations: how often, at most, the clone plays, is told what its teacher would have done where it went,
     and is cloned again (Ross et al. 2011, DAgger)."""
-    mastered: float = 0.95
-    """Success under the policy's own noise at which there are no more such rounds."""
+    mastered: float = 1.0
+    """Success in such a round at which there are no more."""
     visits: int = 40
-    """Episodes of each such round."""
+    """Episodes of each such round: half under the policy's own noise, half by its mean action, which gets stuck elsewhere."""
     updates: int = 6
     """Natural-gradient updates after cloning."""
     seed: int = 0
@@ -148,8 +148,10 @@ def _visit(
     round_: int, rng: np.random.Generator,
 ) -> tuple[_Lessons, float]:  # fmt: skip
     """Let the clone play, add what the teacher would have done where it went (Ross et al. 2011, DAgger); its success."""
-    first = VISIT_SEEDS + round_ * config.visits
-    played = engine.play(policy.act, [beta] * config.visits, range(first, first + config.visits))
+    first, half = VISIT_SEEDS + round_ * config.visits, config.visits // 2
+    seeds = list(range(first, first + config.visits))
+    mean = lambda observation, rng: policy.mean(observation)  # noqa: E731
+    played = engine.play(mean, [beta] * half, seeds[:half]) + engine.play(policy.act, [beta] * (config.visits - half), seeds[half:])
     states, wanted = _with_noise(np.concatenate([episode.observations for episode in played]), script, 1, rng)
     more = replace(lessons, seen=np.concatenate([lessons.seen, states]), labels=np.concatenate([lessons.labels, wanted]))
     return more, float(np.mean([episode.success for episode in played]))

@@ -70,10 +70,10 @@ class TransferConfig:
     jacobian_episodes: int = 72
     """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
     threshold: float = 2 / 3
-    """Success rate of the mean action for moving on (paper: 66.7 %)."""
+    """Success rate for moving on (paper: 66.7 %): of the mean action, and of the policy under the noise of training, as what trains next
+    learns from such successes."""
     signal: float = 1 / 3
-    """Success rate from which there is enough to learn from: under the noise of training for moving on, for what trains next learns
-    from such successes; and, adaptive, on a robot for being near enough to train there."""
+    """Success rate under the noise of training from which there is enough to learn from; adaptive: where training begins."""
     goal: float = 0.85
     """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
     shrink: float = 0.995
@@ -311,8 +311,8 @@ class Transfer:
         """Pick the next robot on the way to ``meta`` (D,).
 
         Fixed steps go xi far. Adaptive steps try twice the last stride and halve it until the policy holds, and what holds is
-        taken at once; or until it succeeds often enough to learn there, or xi is reached, and training begins. The way has one
-        direction per choice; an optimised one is estimated only once the meta robot itself is out of reach.
+        taken at once; or until it succeeds often enough under noise to learn there, or xi is reached, and training begins. The way
+        has one direction per choice; an optimised one is estimated only once the meta robot itself is out of reach.
         """
         distance = float(np.linalg.norm(meta - branch.alpha))
         shortest = min(self.config.xi, distance)
@@ -328,11 +328,12 @@ class Transfer:
             if self.config.step == "fixed" or stride <= shortest:
                 return
             wanted, episodes = self.config.threshold, self.config.check_episodes
-            success = self.success(branch, self.engine, candidate, wanted, episodes)
-            if success >= wanted and self.explores(branch, self.engine, candidate):
+            mean = self.success(branch, self.engine, candidate, wanted, episodes)
+            noisy = self.success(branch, self.engine, candidate, wanted, episodes, exploring=True)
+            if min(mean, noisy) >= wanted:
                 self.move(branch, candidate, stride, trained=False)
                 return
-            if success >= self.config.signal:
+            if noisy >= self.config.signal:
                 self.improve(branch, self.engine, candidate)  # it was measured just now
                 return
             stride = max(stride / 2, shortest)
@@ -368,7 +369,7 @@ class Transfer:
     def train_to(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
     ) -> Outcome:
-        """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and towards signal ``exploring``.
+        """One update towards ``wanted`` success on the robot ``alpha`` (D,), of the mean action and, ``exploring``, under noise.
 
         Returns:
             "held" if the policy has that success already, "spent" if the path's budget is, else "training".
@@ -376,7 +377,7 @@ class Transfer:
         Success is measured before the first update and after every check_every-th.
         """
         if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes) >= wanted:
-            if not exploring or self.explores(branch, player, alpha):
+            if not exploring or self.success(branch, player, alpha, wanted, episodes, exploring=True) >= wanted:
                 return "held"
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
@@ -453,10 +454,6 @@ class Transfer:
         event = "explore" if exploring else "check"
         self.say(event, branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
         return successes / played
-
-    def explores(self, branch: Branch, player: Player, alpha: np.ndarray) -> bool:
-        """Whether the policy succeeds often enough under noise on the robot ``alpha`` (D,) for what trains next to learn from it."""
-        return self.success(branch, player, alpha, self.config.signal, self.config.check_episodes, exploring=True) >= self.config.signal
 
     # ---- what a run leaves -------------------------------------------------------------------------------------
 
