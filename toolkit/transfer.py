@@ -69,11 +69,15 @@ class TransferConfig:
     """Episodes of the expert on the source whose successes pull the updates of "direct"; 0: none. Not counted, as given data."""
     jacobian_episodes: int = 72
     """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
+    exploration: float | None = None
+    """Standard deviation of every action's noise when the transfer begins, which training then changes; None: the expert's own."""
     threshold: float = 2 / 3
-    """Success rate for moving on (paper: 66.7 %): of the mean action, and of the policy under the noise of training, as what trains next
-    learns from such successes."""
-    signal: float = 1 / 3
-    """Success rate under the noise of training from which there is enough to learn from; adaptive: where training begins."""
+    """Success rate of the mean action for moving on (paper: 66.7 %)."""
+    noisy_threshold: float = 1 / 2
+    """Success rate under the noise of training for moving on: what trains next learns from such successes."""
+    signal: float = 1 / 8
+    """Success rate under the noise of training from which there is enough to learn from; adaptive: where training begins. The window's
+    other robots are nearer, and succeed more often."""
     goal: float = 0.85
     """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
     shrink: float = 0.995
@@ -92,10 +96,13 @@ class TransferConfig:
     """The learner."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1), ("xi", 0, math.inf)):
+        for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1),
+                                ("xi", 0, math.inf)):  # fmt: skip
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
+        if self.exploration is not None and not 0 < self.exploration < math.inf:
+            raise ToolkitError(f"transfer's exploration is {self.exploration}; give a positive number, or none for the expert's own")
         if not 0 < self.pull < math.inf:
             raise ToolkitError(f"transfer's pull is {self.pull}; give a positive number")
         for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0),
@@ -202,6 +209,9 @@ class Transfer:
         self.witness = witness
         self.goals = {target.name: target.alpha for target in targets}
         self.source, self._expert = source, policy.copy()
+        if config.exploration is not None:
+            policy = policy.copy()
+            policy.set_log_std(np.full(len(policy.action_names), math.log(config.exploration)))
         self._shown: Demonstrations | None = None
         self.rng = np.random.default_rng(config.seed)
         self.costs: dict[str, Cost] = {"path 1": Cost()}
@@ -329,8 +339,8 @@ class Transfer:
                 return
             wanted, episodes = self.config.threshold, self.config.check_episodes
             mean = self.success(branch, self.engine, candidate, wanted, episodes)
-            noisy = self.success(branch, self.engine, candidate, wanted, episodes, exploring=True)
-            if min(mean, noisy) >= wanted:
+            noisy = self.success(branch, self.engine, candidate, self.config.noisy_threshold, episodes, exploring=True)
+            if mean >= wanted and noisy >= self.config.noisy_threshold:
                 self.move(branch, candidate, stride, trained=False)
                 return
             if noisy >= self.config.signal:
@@ -369,7 +379,7 @@ class Transfer:
     def train_to(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
     ) -> Outcome:
-        """One update towards ``wanted`` success on the robot ``alpha`` (D,), of the mean action and, ``exploring``, under noise.
+        """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and that which ``exploring`` needs.
 
         Returns:
             "held" if the policy has that success already, "spent" if the path's budget is, else "training".
@@ -377,7 +387,8 @@ class Transfer:
         Success is measured before the first update and after every check_every-th.
         """
         if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes) >= wanted:
-            if not exploring or self.success(branch, player, alpha, wanted, episodes, exploring=True) >= wanted:
+            enough = self.config.noisy_threshold
+            if not exploring or self.success(branch, player, alpha, enough, episodes, exploring=True) >= enough:
                 return "held"
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:

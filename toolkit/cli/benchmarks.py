@@ -31,12 +31,14 @@ class Entry:
     targets: tuple[str, ...] = TARGETS
     episodes: int = 20
     expert: str | None = None
+    exploration: float | None = None
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
         from toolkit.pipeline import Job, transfer_config
 
-        overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget}
+        overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
+                     "exploration": self.exploration}
         config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)
         return Job(find_robot("adroit"), robots, find_task(self.task), config, self.episodes, self.expert)
@@ -61,9 +63,9 @@ SUITES: dict[str, dict[str, Entry]] = {
         "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
         "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
         # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained.
-        "hands-tree-0": Entry(expert=HANDS, episodes=200),
-        "hands-independent-0": Entry(expert=HANDS, kind="independent", episodes=60),
-        "hands-direct-0": Entry(expert=HANDS, kind="direct", budget=3_000, targets=JAWS[:1]),
+        "hands-tree-0": Entry(expert=HANDS, exploration=0.15, episodes=200),
+        "hands-independent-0": Entry(expert=HANDS, exploration=0.15, kind="independent", episodes=60),
+        "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=3_000, targets=JAWS[:1]),
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
         "six-independent-0": Entry(targets=SIX, kind="independent"),

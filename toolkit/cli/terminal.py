@@ -21,7 +21,10 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
         table.add_column(column, overflow="fold")  # a name that is cut off names nothing
     for row in rows:
         table.add_row(*(str(value) for value in row))
-    Console().print(table)
+    console = Console()
+    if not console.is_terminal:
+        console.width = 1000  # a row stays one line in a file or a pipe
+    console.print(table)
 
 
 def short(value: Any) -> str:

@@ -99,6 +99,7 @@ def transfer(
     xi: float | None = None,
     budget: int | None = None,
     expert: str | None = None,
+    exploration: float | None = None,
     seed: int = 0,
     preset: str = "quick",
     episodes: int | None = None,
@@ -124,6 +125,7 @@ def transfer(
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
         expert: another policy of the source than the one shipped for the task: a shipped expert's name, or the files of your own
             without their endings, as EXPERTS/adroit-061_foam_brick-wide-recordings.
+        exploration: standard deviation of the action's noise when the transfer begins; default: the expert's own.
         seed: of everything random.
         preset: quick (minutes), full, or paper (every number from the paper's table).
         episodes: of the final evaluation, per target, on F(beta) and on the unmodified robot; default: the preset's.
@@ -134,7 +136,7 @@ def transfer(
     robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
     from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
-    config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget)
+    config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, exploration=exploration)
     if episodes is not None and episodes < 1:
         raise ToolkitError(f"episodes is {episodes}; give at least 1")
     bent = "" if path == "straight" else f"{path}-"
