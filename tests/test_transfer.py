@@ -6,6 +6,7 @@ always the same, so a policy is one number, and the natural policy gradient has 
 along as the robots move: from 0.1 at the source to 0.96 at the meta robot, then to 1.36 or back to 0.47.
 """
 
+import itertools
 import json
 import math
 import os
@@ -218,7 +219,8 @@ def test_the_way_goes_on_only_where_the_exploring_policy_succeeds_too(finished):
     """Before every move: the mean action and the policy under noise, each at its threshold, on the very robot that is next."""
     transfer, toy = finished
     told = [r for r in records(transfer) if r["event"] in ("check", "explore", "moved")]
-    moves = [told[i - 2 : i] for i, record in enumerate(told) if record["event"] == "moved"]
+    calm = [r for i, r in enumerate(told) if not (r["event"] == "explore" and i + 1 < len(told) and told[i + 1]["event"] == "explore")]
+    moves = [calm[i - 2 : i] for i, record in enumerate(calm) if record["event"] == "moved"]
     assert moves
     for mean, noisy in moves:
         assert (mean["event"], noisy["event"]) == ("check", "explore") and mean["reach"] == noisy["reach"]
@@ -239,6 +241,46 @@ def test_where_a_robot_gives_signal_training_begins_there(tmp_path):
         mean["reach"] == noisy["reach"] > transfer.config.xi + 1e-9 and not (mean["held"] and noisy["held"]) and noisy["success"] >= 0.1
         for mean, noisy in begun
     ), "no long stride was trained on"
+
+
+def test_calming_and_rousing_scale_the_noise_and_nothing_else(tmp_path):
+    transfer = transfer_of(tmp_path / "run", config(calm=0.5, least_noise=0.25), Toy())
+    (branch,) = transfer.pending
+    first, mean = branch.policy.log_std, branch.policy.mean(OBSERVATION)
+    assert not transfer.rouse(branch), "the first noise is the most"
+    shares = []
+    while transfer.calm(branch):
+        shares.append(branch.noise)
+        np.testing.assert_allclose(branch.policy.log_std, first + np.log(branch.noise), rtol=0, atol=1e-12)
+    assert shares == [0.5, 0.25], "not halved down to a quarter"
+    shares = []
+    while transfer.rouse(branch):
+        shares.append(branch.noise)
+    np.testing.assert_allclose(shares[:4], [0.25 * 2**0.5, 0.5, 0.5 * 2**0.5, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(branch.policy.log_std, first, rtol=0, atol=1e-12)
+    assert np.array_equal(branch.policy.mean(OBSERVATION), mean)
+
+
+def test_there_is_less_noise_where_it_alone_stands_in_the_way(tmp_path):
+    """Robots that all want what the source wants: less noise is all that it takes, at once, and no training."""
+    toy = easy_toy()
+    transfer = transfer_of(tmp_path / "run", config(least_noise=0.05), toy)
+    transfer.pending[0].policy.set_log_std(np.array([-1.0]))  # more than TOLERANCE bears
+    transfer.meta_evolve()
+    told = [r for r in records(transfer) if r["event"] in ("check", "explore")]
+    assert all(0.05 <= r["noise"] <= 1.0 for r in told)
+    calmed = [(a, b) for a, b in itertools.pairwise(told) if b["event"] == "explore" == a["event"]]
+    assert calmed, "noise never stood in the way"
+    for before, after in calmed:
+        assert after["noise"] == pytest.approx(max(0.8 * before["noise"], 0.05)) and not before["held"]
+    assert not records(transfer, "update")
+    assert set(transfer.arrived) == {"left", "right"}
+
+
+def test_fixed_steps_leave_the_noise_to_training(tmp_path):
+    transfer = transfer_of(tmp_path / "run", config(step="fixed"), Toy())
+    transfer.meta_evolve()
+    assert {r["noise"] for r in records(transfer) if "noise" in r} == {1.0}
 
 
 def test_a_measurement_stops_early_without_changing_its_outcome(tmp_path):

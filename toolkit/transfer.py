@@ -78,6 +78,10 @@ class TransferConfig:
     signal: float = 1 / 8
     """Success rate under the noise of training from which there is enough to learn from; adaptive: where training begins. The window's
     other robots are nearer, and succeed more often."""
+    calm: float = 0.8
+    """Adaptive: factor on the noise where the mean action holds and the exploring policy does not; 1: the noise is left to training."""
+    least_noise: float = 1 / 4
+    """Adaptive: share of its first standard deviation below which the noise is not calmed."""
     goal: float = 0.85
     """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
     shrink: float = 0.995
@@ -97,7 +101,7 @@ class TransferConfig:
 
     def __post_init__(self) -> None:
         for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1),
-                                ("xi", 0, math.inf)):  # fmt: skip
+                                ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):  # fmt: skip
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
@@ -157,6 +161,7 @@ class Branch:
         next_alpha: (D,) robot being trained for, None between phases.
         window: share of the segment [alpha, next_alpha] from which training robots are drawn; it closes to 0.
         stride: length of the last step that worked; the adaptive step starts from twice of it.
+        noise: share of the exploration's standard deviation that the policy bears.
         updates: updates in this phase.
         stage: "evolve" on the tree, "settle" on the native robot.
     """
@@ -169,6 +174,7 @@ class Branch:
     next_alpha: np.ndarray | None = None
     window: float = 1.0
     stride: float = math.inf
+    noise: float = 1.0
     updates: int = 0
     stage: str = "evolve"
 
@@ -264,7 +270,7 @@ class Transfer:
             self.costs[path] = Cost()
             names = [name for name in branch.targets if name in part]
             self.routes[path] = [*self.routes[branch.path], "meta"]
-            branches.append(Branch(path, branch.alpha, names, branch.policy.copy(), branch.value.copy()))
+            branches.append(Branch(path, branch.alpha, names, branch.policy.copy(), branch.value.copy(), noise=branch.noise))
             self.say("split", branches[-1], parent=branch.path, targets=" ".join(names))
         self.pending += reversed(branches)  # the last one is played first
 
@@ -321,8 +327,9 @@ class Transfer:
         """Pick the next robot on the way to ``meta`` (D,).
 
         Fixed steps go xi far. Adaptive steps try twice the last stride and halve it until the policy holds, and what holds is
-        taken at once; or until it succeeds often enough under noise to learn there, or xi is reached, and training begins. The way
-        has one direction per choice; an optimised one is estimated only once the meta robot itself is out of reach.
+        taken at once; or until it succeeds often enough under noise to learn there, or xi is reached, and training begins. Where
+        only noise stands in the way, there is less of it. The way has one direction per choice; an optimised one is estimated only
+        once the meta robot itself is out of reach.
         """
         distance = float(np.linalg.norm(meta - branch.alpha))
         shortest = min(self.config.xi, distance)
@@ -337,10 +344,13 @@ class Transfer:
             branch.next_alpha, branch.window, branch.updates = candidate, 1.0, 0
             if self.config.step == "fixed" or stride <= shortest:
                 return
-            wanted, episodes = self.config.threshold, self.config.check_episodes
+            wanted, enough, episodes = self.config.threshold, self.config.noisy_threshold, self.config.check_episodes
             mean = self.success(branch, self.engine, candidate, wanted, episodes)
-            noisy = self.success(branch, self.engine, candidate, self.config.noisy_threshold, episodes, exploring=True)
-            if mean >= wanted and noisy >= self.config.noisy_threshold:
+            noisy = self.success(branch, self.engine, candidate, enough, episodes, exploring=True)
+            while mean >= wanted and self.config.signal <= noisy < enough and self.calm(branch):
+                noisy = self.success(branch, self.engine, candidate, enough, episodes, exploring=True)
+            if mean >= wanted and noisy >= enough:
+                self.rouse(branch)
                 self.move(branch, candidate, stride, trained=False)
                 return
             if noisy >= self.config.signal:
@@ -388,14 +398,37 @@ class Transfer:
         """
         if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes) >= wanted:
             enough = self.config.noisy_threshold
-            if not exploring or self.success(branch, player, alpha, enough, episodes, exploring=True) >= enough:
+            if not exploring:
                 return "held"
+            if self.success(branch, player, alpha, enough, episodes, exploring=True) >= enough:
+                self.rouse(branch)
+                return "held"
+            self.calm(branch)
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
             self.say("budget", branch, sim_epochs=cost.sim_epochs)
             return "spent"
         self.improve(branch, player, alpha)
         return "training"
+
+    def calm(self, branch: Branch) -> bool:
+        """Less exploration, if there is any to spare: where the mean action holds, more noise than it bears teaches it to bear noise.
+
+        With ``rouse`` a success rule, as evolution strategies have for the length of their steps (Rechenberg 1973).
+        """
+        return self.explore(branch, max(self.config.calm * branch.noise, self.config.least_noise))
+
+    def rouse(self, branch: Branch) -> bool:
+        """More exploration, at half the pace of ``calm`` and never beyond the first: what succeeds with it can afford it."""
+        return self.explore(branch, min(branch.noise / math.sqrt(self.config.calm), 1.0))
+
+    def explore(self, branch: Branch, noise: float) -> bool:
+        """Give the exploration the share ``noise`` of its standard deviation; returns whether it had another one."""
+        if self.config.step == "fixed" or noise == branch.noise:
+            return False
+        branch.policy.set_log_std(branch.policy.log_std + math.log(noise / branch.noise))
+        branch.noise = noise
+        return True
 
     def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> None:
         """One update, on robots drawn from the part of the segment from branch.alpha to ``alpha`` (D,) that the window leaves open."""
@@ -463,7 +496,7 @@ class Transfer:
         self.costs[branch.path].check_episodes += played
         reach = float(np.linalg.norm(alpha - branch.alpha))
         event = "explore" if exploring else "check"
-        self.say(event, branch, success=successes / played, checked=played, reach=reach, held=successes >= needed)
+        self.say(event, branch, success=successes / played, checked=played, reach=reach, held=successes >= needed, noise=branch.noise)
         return successes / played
 
     # ---- what a run leaves -------------------------------------------------------------------------------------
@@ -489,7 +522,7 @@ class Transfer:
             tensors |= {f"pending.{i}.alpha": branch.alpha} | learner_tensors(f"pending.{i}", branch.policy, branch.value)
             if branch.next_alpha is not None:
                 tensors[f"pending.{i}.next_alpha"] = branch.next_alpha
-            state = {key: getattr(branch, key) for key in ("path", "targets", "window", "updates", "stage")}
+            state = {key: getattr(branch, key) for key in ("path", "targets", "window", "noise", "updates", "stage")}
             branches.append(state | {"stride": None if math.isinf(branch.stride) else branch.stride})
         for name, policy in self.arrived.items():
             tensors |= network_tensors(f"arrived.{name}", policy)
@@ -523,7 +556,7 @@ class Transfer:
             policy, value = model.copy(), critic.copy()
             load_learner(tensors, f"pending.{i}", policy, value)
             stride = math.inf if saved["stride"] is None else saved["stride"]
-            fields = {key: saved[key] for key in ("path", "targets", "window", "updates", "stage")}
+            fields = {key: saved[key] for key in ("path", "targets", "window", "noise", "updates", "stage") if key in saved}
             self.pending.append(
                 Branch(alpha=alpha, policy=policy, value=value, stride=stride,
                        next_alpha=tensors.get(f"pending.{i}.next_alpha"), **fields)
