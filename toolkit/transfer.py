@@ -350,7 +350,6 @@ class Transfer:
             while mean >= wanted and self.config.signal <= noisy < enough and self.calm(branch):
                 noisy = self.success(branch, self.engine, candidate, enough, episodes, exploring=True)
             if mean >= wanted and noisy >= enough:
-                self.rouse(branch)
                 self.move(branch, candidate, stride, trained=False)
                 return
             if noisy >= self.config.signal:
@@ -396,14 +395,15 @@ class Transfer:
 
         Success is measured before the first update and after every check_every-th.
         """
-        if branch.updates % self.config.check_every == 0 and self.success(branch, player, alpha, wanted, episodes) >= wanted:
+        if branch.updates % self.config.check_every == 0:
+            holds = self.success(branch, player, alpha, wanted, episodes) >= wanted
             enough = self.config.noisy_threshold
-            if not exploring:
+            if holds and (not exploring or self.success(branch, player, alpha, enough, episodes, exploring=True) >= enough):
                 return "held"
-            if self.success(branch, player, alpha, enough, episodes, exploring=True) >= enough:
+            if holds:
+                self.calm(branch)
+            else:
                 self.rouse(branch)
-                return "held"
-            self.calm(branch)
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
             self.say("budget", branch, sim_epochs=cost.sim_epochs)
@@ -419,8 +419,8 @@ class Transfer:
         return self.explore(branch, max(self.config.calm * branch.noise, self.config.least_noise))
 
     def rouse(self, branch: Branch) -> bool:
-        """More exploration, at half the pace of ``calm`` and never beyond the first: what succeeds with it can afford it."""
-        return self.explore(branch, min(branch.noise / math.sqrt(self.config.calm), 1.0))
+        """More exploration, never beyond the first: where the mean action fails there is to learn, and steps are as long as the noise."""
+        return self.explore(branch, min(branch.noise / self.config.calm, 1.0))
 
     def explore(self, branch: Branch, noise: float) -> bool:
         """Give the exploration the share ``noise`` of its standard deviation; returns whether it had another one."""

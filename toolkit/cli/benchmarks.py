@@ -65,6 +65,7 @@ SUITES: dict[str, dict[str, Entry]] = {
         # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained.
         "hands-tree-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, episodes=200),
         "hands-independent-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, kind="independent", episodes=60),
+        "hands-kinova3-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=JAWS[:1], episodes=200),
         "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=3_000, targets=JAWS[:1]),
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
