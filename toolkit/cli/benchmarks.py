@@ -45,6 +45,7 @@ class Entry:
 
 
 CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
+TWINS = ("kinova3", "ur5e")  # one gripper on two arms
 HANDS = f"adroit-{TASK}-wide-recordings"
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
 COARSE = 0.3
@@ -65,8 +66,10 @@ SUITES: dict[str, dict[str, Entry]] = {
         # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained.
         "hands-tree-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, episodes=200),
         "hands-independent-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, kind="independent", episodes=60),
-        "hands-kinova3-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=JAWS[:1], episodes=200),
-        "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=3_000, targets=JAWS[:1]),
+        "hands-kinova3-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=TWINS[:1], episodes=200),
+        "hands-ur5e-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=TWINS[1:], episodes=60),
+        "hands-twins-0": Entry(expert=HANDS, exploration=0.15, targets=TWINS, episodes=60),
+        "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=2_200, targets=TWINS[:1], episodes=60),
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
         "six-independent-0": Entry(targets=SIX, kind="independent"),
