@@ -45,7 +45,6 @@ class Entry:
 
 
 CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
-TWINS = ("kinova3", "ur5e")  # one gripper on two arms
 HANDS = f"adroit-{TASK}-wide-recordings"
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
 COARSE = 0.3
@@ -63,13 +62,17 @@ SUITES: dict[str, dict[str, Entry]] = {
         "wide-tree-0": Entry(task=WIDE, budget=1_500, episodes=60),
         "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
         "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
-        # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained.
+        # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained. Kinova3 and
+        # ur5e (the twins) carry one gripper.
         "hands-tree-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, episodes=200),
-        "hands-independent-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, kind="independent", episodes=60),
-        "hands-kinova3-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=TWINS[:1], episodes=200),
-        "hands-ur5e-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=TWINS[1:], episodes=60),
-        "hands-twins-0": Entry(expert=HANDS, exploration=0.15, targets=TWINS, episodes=60),
-        "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=2_200, targets=TWINS[:1], episodes=60),
+        "hands-kinova3-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("kinova3",), episodes=200),
+        "hands-iiwa-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("iiwa",), episodes=60),
+        "hands-jaco-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("jaco",), episodes=60),
+        "hands-ur5e-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("ur5e",), episodes=60),
+        "hands-panda-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("panda",), episodes=60),
+        "hands-sawyer-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("sawyer",), episodes=60),
+        "hands-twins-0": Entry(expert=HANDS, exploration=0.15, targets=("kinova3", "ur5e"), episodes=60),
+        "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=2_200, targets=("kinova3",), episodes=60),
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
         "six-independent-0": Entry(targets=SIX, kind="independent"),
