@@ -48,6 +48,28 @@ def test_every_count_of_the_runs_is_on_the_page(tmp_path):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_tree_is_compared_with_the_independent_paths_to_its_own_targets(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    finished(suite, "tree-0", 0, 1000, 187)  # 1007 epochs, 6 iterations
+    finished(suite, "alone-0", 0, 2007, 151, kind="independent")
+    finished(suite, "alone-1", 1, 2009, 151, kind="independent")
+    finished(suite, "other-task", 0, 5, 151, task="another")
+    text = write_results(suite, "A suite", "make results").read_text()
+    assert f"| tree-0 | left, right | 6 | 6 | 1.00 | 1007 | {2008 + 7} | {2015 / 1007:.2f} |" in text
+    assert "| other-task | left, right | 6 |" not in text  # nobody went there alone
+
+
+def test_the_way_to_a_target_counts_the_paths_shared_with_others(tmp_path):
+    path = finished(tmp_path, "tree-0", 0, 1000, 187)
+    report = json.loads((path / "report.json").read_text())
+    report["routes"] = {"path 1": ["hand", "meta"], "path 2": ["hand", "meta", "left"]}
+    (path / "report.json").write_text(json.dumps(report))
+    run = read_result(path)
+    assert run.cost_to("left", "sim_epochs") == 1007
+    assert run.cost_to("right", "sim_epochs") is None
+
+
 def test_a_run_without_a_report_is_left_out(tmp_path):
     suite = tmp_path / "suite"
     suite.mkdir()

@@ -52,16 +52,40 @@ class Result:
         report = self.report
         kind = {"steiner": "tree", "geometric-median": "one meta robot"}.get(report["kind"], report["kind"])
         metric = "" if report["kind"] in ("independent", "direct") else f", {report['metric'].upper()}"
-        schedule = self.config["transfer"]
-        length = f" of {schedule['xi']:g}" if report["step"] == "fixed" else ""
-        bent = ", optimised path" if report["path"] == "optimised" else ""
-        return f"{kind}{metric}, {report['step']} step{length}{bent}"
+        return f"{kind}{metric}, {self._steps}"
+
+    @property
+    def _steps(self) -> str:
+        length = f" of {self.config['transfer']['xi']:g}" if self.report["step"] == "fixed" else ""
+        bent = ", optimised path" if self.report["path"] == "optimised" else ""
+        return f"{self.report['step']} step{length}{bent}"
 
     @property
     def task(self) -> str:
         """What is done, and by whose policy if it is not the expert shipped for the task."""
         expert = self.config.get("expert")
         return self.report["task"] + (f" (expert {expert})" if expert else "")
+
+    @property
+    def terms(self) -> tuple[str, str, str]:
+        """What a tree and independent paths must have in common to be compared: task and expert, metric, steps."""
+        return self.task, self.report["metric"], self._steps
+
+    def cost_to(self, target: str, key: str) -> int | None:
+        """Cost of the way to one target: of the paths from the source to it, those shared with others included.
+
+        Args:
+            target: its name.
+            key: one of ``COSTS``.
+
+        Returns:
+            the count; None if the run does not go there.
+        """
+        routes, counts = self.report["routes"], self.report[key]
+        ways = [route for route in routes.values() if route[-1] == target]
+        if not ways:
+            return None
+        return sum(counts[path] for path, route in routes.items() if route == ways[0][: len(route)])
 
 
 def read_result(folder: Path) -> Result | None:
@@ -122,6 +146,9 @@ def write_results(folder: Path, title: str, command: str) -> Path:
         "Counted as in the paper: a training iteration is one policy update, a simulation epoch one training episode. Checking "
         "episodes only measured success; the paper does not list its own. Wall time is that of the whole transfer without the final "
         "evaluation, on the machine as loaded as it was.", "",
+        "## Shared against alone", "", *sharing_table(runs), "",
+        "A tree beside the sum of independent paths to the same targets, by the same expert and with the same steps, all paths found "
+        "in the runs above; means over their seeds. The paper's own ratio is of means over five.", "",
         "## Per path", "", *path_table(runs), "",
         "## On the way", "", f"![Success measured on the way]({folder.name}/curves.png)", "",
         "Each point is one measurement of the mean action's success on the next robot of the path; a point below the line means that "
@@ -159,6 +186,26 @@ def cost_table(runs: Sequence[Result]) -> list[str]:
     for method, numbers in PAPER.items():
         cells = [f"{mean} ± {deviation}" for mean, deviation in numbers.values()]
         lines.append(f"| paper: {method} | DexYCB | 5 | {' | '.join(cells)} | not given | not given |")
+    return lines
+
+
+def sharing_table(runs: Sequence[Result]) -> list[str]:
+    """Markdown rows: each tree whose targets all have independent paths of the same task, metric and steps, and the ratio to those."""
+    lines = ["| run | targets | training iterations | independent | ratio | simulation epochs | independent | ratio |",
+             "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    for run in runs:
+        if run.report["kind"] in ("independent", "direct"):
+            continue
+        alike = [r for r in runs if r.report["kind"] == "independent" and r.terms == run.terms]
+        cells = []
+        for key in ("train_iterations", "sim_epochs"):
+            found = [[cost for r in alike if (cost := r.cost_to(target, key)) is not None] for target in run.config["targets"]]
+            if not all(found):
+                break
+            shared, alone = run.report["totals"][key], sum(np.mean(costs) for costs in found)
+            cells += [str(shared), f"{alone:.0f}", f"{alone / shared:.2f}" if shared else "-"]
+        else:
+            lines.append(f"| {run.name} | {', '.join(run.config['targets'])} | {' | '.join(cells)} |")
     return lines
 
 
