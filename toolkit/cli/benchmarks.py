@@ -63,7 +63,7 @@ SUITES: dict[str, dict[str, Entry]] = {
         "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
         "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
         # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained. Kinova3 and
-        # ur5e (the twins) carry one gripper.
+        # ur5e (the twins) carry one gripper, iiwa its larger sister (the jaws).
         "hands-tree-0": Entry(expert=HANDS, targets=(*JAWS, "jaco"), exploration=0.15, episodes=200),
         "hands-kinova3-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("kinova3",), episodes=200),
         "hands-iiwa-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("iiwa",), episodes=60),
@@ -72,6 +72,7 @@ SUITES: dict[str, dict[str, Entry]] = {
         "hands-panda-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("panda",), episodes=60),
         "hands-sawyer-0": Entry(expert=HANDS, exploration=0.15, kind="independent", targets=("sawyer",), episodes=60),
         "hands-twins-0": Entry(expert=HANDS, exploration=0.15, targets=("kinova3", "ur5e"), episodes=60),
+        "hands-jaws-0": Entry(expert=HANDS, exploration=0.15, targets=("kinova3", "ur5e", "iiwa"), episodes=60),
         "hands-direct-0": Entry(expert=HANDS, exploration=0.15, kind="direct", budget=2_200, targets=("kinova3",), episodes=60),
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
