@@ -248,20 +248,21 @@ _HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 
 
 def plot_success(runs: Sequence[Result], file: Path) -> None:
-    """Bars with 95 % intervals: success of each run on the unmodified robot of each target."""
+    """A row per run, a panel per target: success on the unmodified robot with its 95 % interval."""
     targets = _targets(runs)
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    axes = figure.subplots()
-    width = 0.8 / len(runs)
-    for i, run in enumerate(runs):
-        found = [(k, run.report["targets"][t]["native"]) for k, t in enumerate(targets) if t in run.report["targets"]]
-        rates = np.array([e["success_rate"] for _, e in found])
-        bounds = np.array([e["ci95"] for _, e in found]).reshape(-1, 2).T
-        axes.bar([k + (i - (len(runs) - 1) / 2) * width for k, _ in found], rates, 0.9 * width, label=run.name,
-                 yerr=np.abs(bounds - rates), capsize=2, hatch=_HATCHES[i % len(_HATCHES)], edgecolor="black", linewidth=0.5)  # fmt: skip
-    axes.axhline(0.8, color="black", linestyle=":", linewidth=1)
-    axes.set(ylim=(0, 1.05), ylabel="success, unmodified robot", xticks=range(len(targets)), xticklabels=targets)
-    axes.legend(fontsize=7, ncols=2, loc="lower right")
+    figure = Figure(figsize=(9, 0.22 * len(runs) + 1.1), layout="constrained")
+    panels = figure.subplots(1, len(targets), sharey=True, squeeze=False)[0]
+    for target, panel in zip(targets, panels, strict=True):
+        rows = [i for i, run in enumerate(runs) if target in run.report["targets"]]
+        found = [runs[i].report["targets"][target]["native"] for i in rows]
+        rates = np.array([e["success_rate"] for e in found])
+        bounds = np.array([e["ci95"] for e in found]).T
+        panel.errorbar(rates, rows, xerr=np.abs(bounds - rates), fmt="o", color="black", markersize=4, capsize=2, linewidth=1)
+        panel.axvline(0.8, color="black", linestyle=":", linewidth=1)
+        panel.set_title(target, fontsize=9)
+        panel.set(xlim=(-0.05, 1.05), ylim=(len(runs) - 0.5, -0.5), yticks=range(len(runs)), yticklabels=[run.name for run in runs])
+        panel.grid(axis="y", linewidth=0.3)
+    figure.supxlabel("success, unmodified robot", fontsize=10)
     figure.savefig(file, dpi=110)
 
 
@@ -275,8 +276,8 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
             for k, count in enumerate(run.report[key].values()):
                 panel.barh(i, count, left=left, color=f"C{k}", edgecolor="black", linewidth=0.5, hatch=_HATCHES[k % len(_HATCHES)])
                 left += count
-        panel.set(xlabel=f"{label}, by path", yticks=range(len(runs)), yticklabels=[run.name for run in runs])
-    axes[0].invert_yaxis()
+        panel.set(xlabel=f"{label}, by path", ylim=(len(runs) - 0.4, -0.6), yticks=range(len(runs)),
+                  yticklabels=[run.name for run in runs])  # fmt: skip
     figure.savefig(file, dpi=110)
 
 
