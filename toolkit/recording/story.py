@@ -248,7 +248,7 @@ class Story:
         edge = self.plan.edge_of(phase.targets)
         where = f"{self.plan.fraction(edge, take.alpha):.0%} of {edge['from']} to {edge['to']}" if edge else ", ".join(phase.targets)
         robot = f"F(alpha) at {where}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
-        played = f"while training, update {take.update}" if take.noise else "without noise"
+        played = f"exploring, after {take.update} updates" if take.noise else "without noise"
         return (f"**{phase.path}, phase {phase.number} ({phase.stage})**: {', '.join(take.roles)} episode on {robot}, "
                 f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")  # fmt: skip
 

@@ -196,8 +196,8 @@ def _trouble(phases: dict[str, Phase]) -> str:
     for phase in phases.values():
         failure = phase.take("failure")
         if failure is not None:
-            kind = "while training" if failure.noise else "without noise"
-            first = f"seed {failure.seed}, {kind}, update {failure.update}"
+            kind = "exploring" if failure.noise else "without noise"
+            first = f"seed {failure.seed}, {kind}, after {failure.update} updates"
             rows.append([phase.path, phase.number, phase.stage, " ".join(phase.targets), first])
     if not rows:
         return "<p>No phase holds a failed episode.</p>" if phases else ""
