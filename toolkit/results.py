@@ -51,8 +51,13 @@ class Result:
         """What distinguishes this run from others but for its seed: tree, metric, step, preset's schedule and targets."""
         report = self.report
         kind = {"steiner": "tree", "geometric-median": "one meta robot"}.get(report["kind"], report["kind"])
-        metric = "" if report["kind"] in ("independent", "direct") else f", {report['metric'].upper()}"
+        metric = f", {report['metric'].upper()}" if self.shares else ""
         return f"{kind}{metric}, {self._steps}"
+
+    @property
+    def shares(self) -> bool:
+        """Whether targets share parts of their way: a tree, or one meta robot."""
+        return self.report["kind"] not in ("independent", "direct")
 
     @property
     def _steps(self) -> str:
@@ -194,7 +199,7 @@ def sharing_table(runs: Sequence[Result]) -> list[str]:
     lines = ["| run | targets | training iterations | independent | ratio | simulation epochs | independent | ratio |",
              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for run in runs:
-        if run.report["kind"] in ("independent", "direct"):
+        if not run.shares:
             continue
         alike = [r for r in runs if r.report["kind"] == "independent" and r.terms == run.terms]
         cells = []
@@ -256,7 +261,7 @@ def plot_success(runs: Sequence[Result], file: Path) -> None:
         rows = [i for i, run in enumerate(runs) if target in run.report["targets"]]
         found = [runs[i].report["targets"][target]["native"] for i in rows]
         rates = np.array([e["success_rate"] for e in found])
-        bounds = np.array([e["ci95"] for e in found]).T
+        bounds = np.array([e["ci95"] for e in found]).reshape(-1, 2).T
         panel.errorbar(rates, rows, xerr=np.abs(bounds - rates), fmt="o", color="black", markersize=4, capsize=2, linewidth=1)
         panel.axvline(0.8, color="black", linestyle=":", linewidth=1)
         panel.set_title(target, fontsize=9)
