@@ -4,8 +4,6 @@ Every body frame of the merged robot stands with world axes at the start posture
 grasp frame starts at the same pose on every robot; so a link is its joint's anchor and axis, nothing else.
 """
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -22,6 +20,8 @@ from tasks.pick import (
 )
 from toolkit.errors import ToolkitError
 from toolkit.morphology.arithmetic import bones, directions, finger_tips, principal, quaternion, turned
+from toolkit.morphology.grasp import GraspLaw
+from toolkit.morphology.patch import Patch
 from toolkit.morphology.space import (
     FREEZE_DECADES,
     FROZEN_ARM_ARMATURE,
@@ -46,6 +46,10 @@ HAND_EXTENT = 0.25
 """Half extent [m] of the box within which a hand link's geoms lie, from the link's centre of mass, on every robot."""
 HELD = 1e-6
 """A coupling is held from this share of its full impedance on, a pad from this stiffness [N m/rad] on."""
+HELD_FOLDS = np.log(10.0) * FREEZE_DECADES
+"""A coupling's hold grows over so many e-folds, as a freezing joint's does."""
+HELD_FADING = 8.0
+"""Power of the hold with which a held tendon's friction fades."""
 SOFT = 0.5
 """Impedance of the constraint that holds a pad to its curve: it adds as much apparent inertia as the two joints have."""
 IMPEDANCE = np.array([0.9, 0.95])
@@ -62,54 +66,6 @@ BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
 """Radius [m] of the visual bones between joints."""
 HAND_BIT, OBJECT_BIT = 2, 1
 """Contact bits: the hand touches object and table, object and table touch each other, the hand never itself."""
-
-
-@dataclass
-class Patch:
-    """What F writes, as arrays over slots, shapes and couplings (all in MuJoCo's own meaning)."""
-
-    body_pos: np.ndarray
-    grasp_pos: np.ndarray
-    axis: np.ndarray
-    mass: np.ndarray
-    com: np.ndarray
-    inertia: np.ndarray
-    inertia_quat: np.ndarray
-    air_pos: np.ndarray
-    air_quat: np.ndarray
-    air_inertia: np.ndarray
-    limits: np.ndarray
-    margin: np.ndarray
-    spring: np.ndarray
-    spring_quadratic: np.ndarray
-    spring_rest: np.ndarray
-    damping: np.ndarray
-    armature: np.ndarray
-    friction_loss: np.ndarray
-    gain: np.ndarray
-    force_limit: np.ndarray
-    shape_pos: np.ndarray
-    shape_quat: np.ndarray
-    shape_size: np.ndarray
-    shape_contact: np.ndarray
-    shape_friction: np.ndarray
-    shape_solref: np.ndarray
-    shape_margin: np.ndarray
-    coupling: np.ndarray
-    coupling_stiffness: np.ndarray
-    coupling_slack: np.ndarray
-    coupling_limits: np.ndarray
-    coupling_friction: np.ndarray
-    coupling_impedance: np.ndarray
-    coupling_time: np.ndarray
-    coupling_length: np.ndarray
-    coupling_held: np.ndarray
-    curve: np.ndarray
-    curve_stiffness: np.ndarray
-    torque_limit: np.ndarray
-    bone_pos: np.ndarray
-    bone_quat: np.ndarray
-    bone_size: np.ndarray
 
 
 def _span(ids: np.ndarray) -> np.ndarray | slice:
@@ -135,7 +91,7 @@ class MergedRobot:
         self._parents = np.array([slot.parent for slot in slots])
         self._roots = np.flatnonzero(self._parents < 0)
         self._arm = space.matching.arm_size
-        self._driven = [i for i in range(self._arm, len(slots)) if not slots[i].name.endswith("K")]
+        self.driven = [i for i in range(self._arm, len(slots)) if not slots[i].name.endswith("K")]
         self._shape_slot = np.array([s.slot for s in space.shape_slots])
         slim = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
         two = np.array([s.kind in slim for s in space.shape_slots])
@@ -146,7 +102,9 @@ class MergedRobot:
         self._hold = self._holds()
         self._tip_of, self._ends = self._tips()
         self._bone_radius = np.where(np.arange(len(slots)) < self._arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"])
+        self.law: GraspLaw | None = None
         self.template = self.compile(space.betas[0])
+        self.law = GraspLaw(space, self.driven, self.write, self.become, *self.new())
 
     def _holds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Spring, damping and armature of each slot when frozen, and the e-folds over which they grow: (n_slots,) each."""
@@ -184,9 +142,12 @@ class MergedRobot:
         spring = own_spring + locked * lock_spring  # the lock's spring rests at zero
         presence = theta["shape_presence"][:, 0]
         size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
-        held = theta["coupling_held"][:, 0]
+        # A constraint that fades evenly is as good as rigid nearly to its end, and would fight the motors all the way.
+        held = np.expm1(HELD_FOLDS * theta["coupling_held"][:, 0]) / np.expm1(HELD_FOLDS)
         bone_pos, bone_quat, bone_size = self._bone_geometry(theta, presence)
         return Patch(
+            anchor=anchors,
+            freeze=freeze,
             body_pos=body_pos,
             grasp_pos=START_POSITION - anchors[self._arm - 1],
             axis=directions(theta["axis"], self.space.axis_references, self.space.axis_bases),
@@ -205,8 +166,10 @@ class MergedRobot:
             damping=theta["damping"][:, 0] * (1 - freeze) + locked * lock_damping,
             armature=theta["armature"][:, 0] * (1 - freeze) + locked * lock_armature,
             friction_loss=theta["friction_loss"][:, 0],
-            gain=theta["stiffness"][self._driven, 0],
-            force_limit=np.maximum(theta["force_limit"][self._driven, 0], 1e-9),
+            gain=theta["stiffness"][self.driven, 0],
+            force_limit=np.maximum(theta["force_limit"][self.driven, 0], 1e-9),
+            target=theta["target"][self.driven],
+            preshape=float(theta["preshape"][0, 0]),
             shape_pos=theta["shape_position"] - anchors[self._shape_slot],
             shape_quat=turned(theta["shape_rotation"], self._shape_reference),
             shape_size=size,
@@ -218,7 +181,8 @@ class MergedRobot:
             coupling_stiffness=theta["coupling_stiffness"][:, 0],
             coupling_slack=theta["coupling_slack"] @ LOW_AND_WIDTH,
             coupling_limits=theta["coupling_limits"],
-            coupling_friction=theta["coupling_friction"][:, 0],
+            # While the tendon is held its friction does no work; as the hold softens, the finger would stick in it.
+            coupling_friction=theta["coupling_friction"][:, 0] * held**HELD_FADING,
             # MuJoCo's defaults when fully held. Its constraint acceleration goes as 1 / (impedance * time^2), so a coupling
             # fades out in proportion to ``held`` only if its time constant grows as the impedance falls.
             coupling_impedance=held[:, None] * IMPEDANCE,
@@ -319,7 +283,7 @@ class MergedRobot:
             limit = p.torque_limit[i]
             actuator = spec.add_actuator(name=slots[i].name, target=slots[i].name, ctrllimited=True, ctrlrange=[-limit, limit])
             actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        for k, i in enumerate(self._driven):
+        for k, i in enumerate(self.driven):
             gain, limit = p.gain[k], p.force_limit[k]
             actuator = spec.add_actuator(
                 name=slots[i].name, target=slots[i].name, forcelimited=True, forcerange=[-limit, limit],
@@ -379,6 +343,7 @@ class MergedRobot:
         self._loosen(model)
         self._set_contacts(model, patch)
         self._soften(model, patch)
+        self._set_motors(alpha, patch, model, mujoco.MjData(model))
         return model
 
     def _loosen(self, model: mujoco.MjModel) -> None:
@@ -419,7 +384,8 @@ class MergedRobot:
         self._shape_body = model.geom_bodyid[self._shape]
         self._shape_bounds, self._bone_bounds = self._bounds(model, self._shape), self._bounds(model, self._bone)
         self._arm_actuator = _span([model.actuator(s.name).id for s in slots[: self._arm]])
-        self._finger_actuator = _span([model.actuator(slots[i].name).id for i in self._driven])
+        self._finger_actuator = _span([model.actuator(slots[i].name).id for i in self.driven])
+        self._finger_dofs, self._finger_joints = dof[self.driven], np.array(joint)[self.driven]
         self._grasp = model.site("grasp").id
         couplings = self.space.coupling_slots
         tendon = np.array([model.tendon(c.name).id for c in couplings], int)
@@ -448,8 +414,35 @@ class MergedRobot:
         model = copy.copy(self.template)
         return model, mujoco.MjData(model)
 
-    def become(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """F(alpha) in place: patch ``model`` (from ``new``) and recompute its derived constants; ``data`` is reset."""
+    def become(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """F(alpha) in place: patch ``model`` (from ``new``) and recompute its derived constants; ``data`` is reset.
+
+        Returns:
+            (n_driven, 2) position targets [rad, m] of the finger actuators at the closing commands -1 and +1.
+        """
+        p = self.write(alpha, model, data)
+        targets = self._set_motors(alpha, p, model, data)
+        mujoco.mj_resetData(model, data)
+        return targets
+
+    def _set_motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """Strengths of the finger actuators into ``model``; returns their targets (n_driven, 2), open and closed."""
+        closed, limit = p.target[:, 1], p.force_limit
+        if self.law is not None:
+            motors = self.law.motors(alpha, p, model, data)
+            closed, limit = motors.closed, motors.limit
+            model.actuator_gainprm[self._finger_actuator, 0] = motors.stiffness
+            model.actuator_biasprm[self._finger_actuator, 1] = -motors.stiffness
+            model.dof_damping[self._finger_dofs] = p.damping[self.driven] + motors.damping
+            model.jnt_range[self._finger_joints] = motors.range
+        model.actuator_forcerange[self._finger_actuator] = limit[:, None] * BOTH_WAYS
+        # The targets are linear in the command, through the start posture's at the preshape.
+        still = p.target[:, 0]
+        opened = still - (closed - still) * (1.0 + p.preshape) / (1.0 - p.preshape)
+        return np.stack([opened, closed], axis=1)
+
+    def write(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Patch:
+        """All of F(alpha) but the strengths of the finger actuators, in place; returns what was written."""
         p = self.patch(alpha)
         model.body_pos[self._body], model.body_mass[self._body] = p.body_pos, p.mass
         model.body_ipos[self._body], model.body_iquat[self._body] = p.com, p.inertia_quat
@@ -466,7 +459,7 @@ class MergedRobot:
         self._patch_actuation(model, p)
         mujoco.mj_setConst(model, data)
         self._soften(model, p)
-        mujoco.mj_resetData(model, data)
+        return p
 
     def _patch_geoms(self, model: mujoco.MjModel, p: Patch) -> None:
         for ids, pos, quat, size, (round_, extent) in (
@@ -486,7 +479,6 @@ class MergedRobot:
         model.actuator_ctrlrange[self._arm_actuator] = p.torque_limit[:, None] * BOTH_WAYS
         model.actuator_gainprm[self._finger_actuator, 0] = p.gain
         model.actuator_biasprm[self._finger_actuator, 1] = -p.gain
-        model.actuator_forcerange[self._finger_actuator] = p.force_limit[:, None] * BOTH_WAYS
         model.wrap_prm[self._wraps] = p.coupling[self._wrapped]
         model.tendon_stiffness[self._tendon] = p.coupling_stiffness
         model.tendon_lengthspring[self._tendon] = p.coupling_slack

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from robots.robot import Robot
+from tasks.pick import START_POSITION
 from toolkit.errors import ToolkitError
 from toolkit.morphology.posture import arm_joints, role_actuators, role_joints, target_at
 
@@ -38,6 +39,10 @@ SLOWED = 1.8
 With it the merged gripper closes within 0.6 (Kinova3), 0.8 (UR5e) and 0 (IIWA) policy steps of robosuite's; with 1, within 1.2."""
 CLOSING_STEPS, CLOSING_STEP = 10, 0.05
 """Steps, and seconds each, in which a gripper closes on a box: robosuite's rate for its two-jaw grippers."""
+BOX_WIDTH = 0.05
+"""Width [m] of the reference box across the jaws: the foam brick's, and the middle of what the grippers hold."""
+SQUEEZE, SETTLED = 1.5, 0.1
+"""Time [s] from the full closing command on it to a measurement, and the last part of that, over which forces are averaged."""
 OUT_OF_REACH = (3.0, 3.0, 3.0)
 """Where the object waits [m] while a gripper moves in free air."""
 COMMANDS = tuple(np.linspace(-1.0, 1.0, 17))
@@ -103,6 +108,37 @@ def become_box(model: mujoco.MjModel, body: int, width: float) -> None:
     model.geom_friction[:] = SLIPPERY
     model.opt.gravity[:] = 0.0
     clamp(model, model.jnt_dofadr[model.body_jntadr[body]] + np.arange(6))
+
+
+def closed_on_box(
+    model: mujoco.MjModel, start: np.ndarray, arm: Sequence[int], item: int, actuators: Sequence[int], targets: np.ndarray,
+    preshape: float, width: float = BOX_WIDTH, steps: int = CLOSING_STEPS,
+) -> tuple[mujoco.MjModel, mujoco.MjData]:  # fmt: skip
+    """A gripper closed on a box in its grasp frame, the arm and the box held still.
+
+    Args:
+        model: the scene; not changed.  start: (nq,) at the start posture.
+        arm: joint ids.  item: body id of what becomes the box.
+        actuators: finger actuators.  targets: (n, 2) theirs at the closing commands -1 and +1.
+        preshape: closing command at the start.
+        width: of the box across the jaws [m].
+        steps: in which it closes; 0: it is not told to.
+
+    Returns:
+        the bench's own model, and its data after SQUEEZE.
+    """
+    bench = copy.copy(model)
+    clamp(bench, bench.jnt_dofadr[list(arm)])
+    become_box(bench, item, width)
+    data = mujoco.MjData(bench)
+    data.qpos[:] = start
+    data.qpos[bench.jnt_qposadr[bench.body_jntadr[item]] + np.arange(7)] = (*START_POSITION, 1.0, 0.0, 0.0, 0.0)
+    seconds = [CLOSING_STEP] * steps + [SQUEEZE - SETTLED] * (steps > 0)
+    commands = [*np.linspace(preshape, 1.0, steps + 1)[1:], *([1.0] * (steps > 0))]
+    for command, time in zip(commands, seconds, strict=True):
+        data.ctrl[list(actuators)] = targets[:, 0] + 0.5 * (command + 1.0) * (targets[:, 1] - targets[:, 0])
+        mujoco.mj_step(bench, data, int(round(time / bench.opt.timestep)))
+    return bench, data
 
 
 def jaws_meet(model: mujoco.MjModel, data: mujoco.MjData, jaws: Sequence[np.ndarray]) -> bool:

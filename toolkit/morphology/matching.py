@@ -20,7 +20,7 @@ from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, sl
 from robots.robot import Robot
 from tasks import TASKS
 from toolkit.errors import ToolkitError
-from toolkit.morphology.linkage import Linkage, equivalent_linkages
+from toolkit.morphology.linkage import Linkage, closed_on_box, equivalent_linkages
 from toolkit.morphology.posture import (
     GRIP_SITE,
     GRIPPER_PREFIX,
@@ -178,6 +178,7 @@ class System:
         base_follows: 1 if the OSC base frame turns with joint 1 (KUKA's site sits on link 1), else 0.
         base_position: origin of the OSC base frame at the start [m].
         model: the unmodified robosuite scene.  start: its configuration (nq,) at the start posture.
+        closed: (n_slots,) merged angles [rad] with the gripper closed on the reference box; 0 where the robot has no joint.
     """
 
     robot: Robot
@@ -190,6 +191,7 @@ class System:
     base_position: np.ndarray
     model: mujoco.MjModel
     start: np.ndarray
+    closed: np.ndarray
 
     def present(self, slot: int) -> bool:
         """Whether the robot has the slot's joint."""
@@ -636,7 +638,21 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
     limits = np.zeros(arm_size)
     limits[list(arm)] = [model.actuator_ctrlrange[a, 1] for a in range(len(arm))]
     origin = np.array(data.site_xpos[site.id])
-    return System(robot, tuple(joints), shapes, couplings, curves, limits, follows, origin, model, start), meshes
+    closed = _closed(robot, model, start, joints)
+    return System(robot, tuple(joints), shapes, couplings, curves, limits, follows, origin, model, start, closed), meshes
+
+
+def _closed(robot: Robot, model: mujoco.MjModel, start: np.ndarray, joints: Sequence[Joint | None]) -> np.ndarray:
+    """Merged angles (n_slots,) of the robot's own gripper, closed on the reference box."""
+    actuators = role_actuators(model, robot)
+    targets = np.array([[target_at(robot, role, command) for command in (-1.0, 1.0)] for role in actuators])
+    free = next(j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
+    _, data = closed_on_box(model, start, arm_joints(model), int(model.jnt_bodyid[free]), list(actuators.values()), targets,
+                            robot.gripper.preshape)  # fmt: skip
+    return np.array([
+        0.0 if joint is None or joint.mujoco_joint < 0 else joint.sign * (data.qpos[model.jnt_qposadr[joint.mujoco_joint]] - joint.start)
+        for joint in joints
+    ])  # fmt: skip
 
 
 def _welded(screw: Screw) -> Joint:

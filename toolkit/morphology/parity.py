@@ -22,6 +22,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, become_box, clamp, jaws_meet
 from toolkit.morphology.matching import Matching, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
+from toolkit.morphology.space import BOX_TURNS
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
 
 CONFIGURATIONS = 100
@@ -155,7 +156,7 @@ def _merged_side(merged: MergedRobot, index: int) -> Side:
         shapes = [s for s in space.shape_slots if matching.slots[s.slot].name == role and s.owners[index] is not None]
         if shapes:  # the robot's own order, which sorting by kind may have lost
             order = [id(shape) for shape in matching.systems[index].shapes]
-            pads[finger] = model.geom(max(shapes, key=lambda s: order.index(id(s.owners[index]))).name).id
+            pads[finger] = model.geom(max(shapes, key=lambda s: order.index(id(s.read[index]))).name).id
     system = matching.systems[index]
     arm = [model.joint(slot.name).id for i, slot in enumerate(matching.slots[: matching.arm_size]) if system.present(i)]
     fingers = [model.actuator(slot.name).id for slot in matching.slots if slot.name in ROLE_COMMAND]
@@ -250,8 +251,10 @@ def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
         for finger in own.pads:
             (p, P), (q, Q) = poses[0][finger], poses[1][finger]
             position = max(position, float(np.linalg.norm(p - q)))
+            # The merged robot may describe the same solid by other axes of its own.
+            apart = min(np.linalg.norm(P - Q @ turn) for turn in BOX_TURNS.as_matrix())
             # Stable for tiny angles, where the arc cosine of the trace is not.
-            angle = max(angle, float(np.rad2deg(2.0 * np.arcsin(min(1.0, np.linalg.norm(P - Q) / np.sqrt(8.0))))))
+            angle = max(angle, float(np.rad2deg(2.0 * np.arcsin(min(1.0, apart / np.sqrt(8.0))))))
     return position, angle
 
 

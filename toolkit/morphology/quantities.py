@@ -21,7 +21,7 @@ QUANTITIES: dict[str, str] = {
     "spring_rest": "angle at which that spring rests",
     "stiffness": "position gain of the joint's actuator; 0 where nothing drives it",
     "force_limit": "largest force of that actuator",
-    "target": "position targets of that actuator at the closing commands -1 (open) and +1 (closed)",
+    "target": "position targets of that actuator at the start's closing command and at +1 (closed)",
     "shape_position": "centre of a collision geom at the start posture, world axes; where a robot lacks it, inside the finger it has",
     "shape_rotation": "turn of the geom from where its first owner has it, a rotation vector",
     "shape_size": "of the geom, as in MuJoCo's geom_size",

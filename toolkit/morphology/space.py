@@ -7,12 +7,13 @@ borrows the geometry of the robots that have it, so that only its presence chang
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
 from toolkit.morphology.matching import UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
 
@@ -42,6 +43,12 @@ HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
 HAND_RATE = 0.2
 """Command change per policy step [command/step] of a hand: robosuite's own rate for two-jaw grippers, so that hand and
 gripper close in the same time when told to close at once."""
+
+
+CLOSING = START_ROTATION[:, 0]
+"""Direction in which the fingers close, world; the thumb closes against it."""
+BOX_TURNS = Rotation.create_group("O")
+"""Turns that leave a box a box, its edges renamed."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +140,9 @@ class ShapeSlot:
 
     Attributes:
         slot: index of the link's slot.  kind: mjtGeom.  name: unique.  condim: the largest of its owners'.
-        reference: rotation (3, 3) from which its rotation vector counts.  owners: the robots' shapes, None if absent.
+        reference: rotation (3, 3) from which its rotation vector counts.
+        owners: the robots' shapes, None if absent, each described as near to the reference as its symmetry allows.
+        read: the same shapes as the robots describe them.
     """
 
     slot: int
@@ -142,6 +151,24 @@ class ShapeSlot:
     condim: int
     reference: np.ndarray
     owners: tuple[Shape | None, ...]
+    read: tuple[Shape | None, ...]
+
+
+def _aligned(shape: Shape, reference: np.ndarray) -> Shape:
+    """The same solid, described by the rotation nearest to ``reference`` (3, 3).
+
+    A box can be written in 24 ways and a capsule in a circle of ways. Between two that differ by a quarter turn, a pad would
+    tumble and swell on its way, though the two solids hardly differ.
+    """
+    if shape.kind == mujoco.mjtGeom.mjGEOM_BOX:
+        turns = BOX_TURNS.as_matrix()
+        best = turns[int(np.argmax(np.einsum("ij,ik,nkj->n", reference, shape.rotation, turns)))]  # the largest trace
+        return replace(shape, rotation=shape.rotation @ best, size=np.abs(best.T) @ shape.size)
+    if shape.kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        axis = shape.rotation[:, 2] if shape.rotation[:, 2] @ reference[:, 2] >= 0 else -shape.rotation[:, 2]
+        turn, _ = Rotation.align_vectors(axis[None], reference[:, 2][None])
+        return replace(shape, rotation=turn.as_matrix() @ reference)
+    return shape
 
 
 def _shape_slots(matching: Matching) -> list[ShapeSlot]:
@@ -159,8 +186,17 @@ def _shape_slots(matching: Matching) -> list[ShapeSlot]:
         label = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
         name = f"{matching.slots[slot].name}/{label}{ordinal}"
         condim = max(shape.condim for shape in owners if shape is not None)
-        out.append(ShapeSlot(slot, kind, name, condim, first.rotation, tuple(owners)))
+        aligned = tuple(None if shape is None else _aligned(shape, first.rotation) for shape in owners)
+        out.append(ShapeSlot(slot, kind, name, condim, first.rotation, aligned, tuple(owners)))
     return out
+
+
+def _extent(shape: Shape, direction: np.ndarray) -> float:
+    """How far [m] a shape reaches from its centre along a direction (3,)."""
+    local = shape.rotation.T @ direction
+    if shape.kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return float(np.abs(local) @ shape.size)
+    return float(abs(local[2]) * shape.size[1] + shape.size[0])
 
 
 @dataclass(frozen=True)
@@ -312,8 +348,26 @@ class EvolutionSpace:
             slot_field("spring_rest", "rad", ("",), lambda j, i: j.spring_rest),
             slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
             slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit),
-            slot_field("target", "rad", ("open", "closed"), lambda j, i: (j.target_open, j.target_closed)),
+            self._targets(),
         ]
+
+    def _targets(self) -> Field:
+        """Targets at the start's closing command, where every gripper rests, and closed.
+
+        The target at the command -1 would belong to the preshape: a tree may take one from one robot, the other from another,
+        and their gripper would move before it is told to.
+        """
+        slots, systems = self.matching.slots, self.matching.systems
+        rows = []
+        for index in range(len(slots)):
+            owned: list[np.ndarray | None] = []
+            for system in systems:
+                joint, share = system.joints[index], 0.5 * (system.robot.gripper.preshape + 1.0)
+                owned.append(None if joint is None else np.array(
+                    [(1.0 - share) * joint.target_open + share * joint.target_closed, joint.target_closed]))  # fmt: skip
+            rows.append(np.zeros((len(systems), 2)) if all(row is None for row in owned) else _borrowed(owned))
+        elements = tuple(slot.element for slot in slots)
+        return Field("target", tuple(s.name for s in slots), elements, ("start", "closed"), "rad", np.stack(rows, axis=1))
 
     def _item_field(self, name: str, unit: str, components: Sequence[str], items: Sequence, get: Callable,
                     absent: float | tuple[float, ...] | None = None) -> Field:  # fmt: skip
@@ -331,10 +385,9 @@ class EvolutionSpace:
 
     def _shape_fields(self) -> list[Field]:
         shapes, xyz = self.shape_slots, ("x", "y", "z")
-        rotvec = lambda owner, item: Rotation.from_matrix(owner.rotation @ item.reference.T).as_rotvec()  # noqa: E731
         return [
             self._shape_positions(),
-            self._item_field("shape_rotation", "rad", xyz, shapes, rotvec),
+            self._shape_rotations(),
             self._item_field("shape_size", "m", xyz, shapes, lambda o, _: o.size),
             self._item_field("shape_presence", "1", ("",), shapes, lambda o, _: 1.0, absent=0.0),
             self._item_field("shape_friction", "1", ("slide", "spin", "roll"), shapes, lambda o, _: o.friction),
@@ -349,7 +402,7 @@ class EvolutionSpace:
         """
         shapes = self.shape_slots
         rows = [
-            _borrowed([owner.position if owner else self._hiding_place(robot, shape.slot)
+            _borrowed([owner.position if owner else self._hiding_place(robot, shape)
                        for robot, owner in enumerate(shape.owners)])
             for shape in shapes
         ]  # fmt: skip
@@ -357,17 +410,60 @@ class EvolutionSpace:
         values = np.stack(rows, axis=1)
         return Field("shape_position", tuple(s.name for s in shapes), elements, ("x", "y", "z"), "m", values)
 
-    def _hiding_place(self, robot: int, slot: int) -> np.ndarray | None:
-        """Inside (3,) [m] of what a robot has on a link, or on the nearest link above it in the finger; None: nothing."""
-        system, slots = self.matching.systems[robot], self.matching.slots
+    def _shape_rotations(self) -> Field:
+        """Rotations of the shapes; a pad that the source lacks lies flat on the box at every robot, as it does at its owner.
+
+        A hand is curled by two radians where a jaw is straight. A pad that kept its turn from the link would grow askew.
+        """
+        rows = []
+        for shape in self.shape_slots:
+            first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
+            own = self._turn_at_contact(first, shape.slot) @ shape.owners[first].rotation
+            turns = [None if owner is None else owner.rotation for owner in shape.owners]
+            if turns[0] is None:
+                turns = [self._turn_at_contact(robot, shape.slot).T @ own if turn is None else turn for robot, turn in enumerate(turns)]
+            rows.append(_borrowed([None if t is None else Rotation.from_matrix(t @ shape.reference.T).as_rotvec() for t in turns]))
+        elements = tuple(self.matching.slots[shape.slot].element for shape in self.shape_slots)
+        return Field("shape_rotation", tuple(s.name for s in self.shape_slots), elements, ("x", "y", "z"), "rad", np.stack(rows, axis=1))
+
+    def _turn_at_contact(self, robot: int, slot: int) -> np.ndarray:
+        """Rotation (3, 3) of a finger's link from its start, with the robot's gripper closed on the reference box."""
+        system, turn = self.matching.systems[robot], np.eye(3)
         while slot >= self.matching.arm_size:
-            own = [shape.position for shape in system.shapes if shape.slot == slot]
+            joint = system.joints[slot]
+            if joint is not None and not self.matching.slots[slot].sliding:
+                turn = Rotation.from_rotvec(joint.screw.axis * system.closed[slot]).as_matrix() @ turn
+            slot = self.matching.slots[slot].parent
+        return turn
+
+    def _hiding_place(self, robot: int, shape: ShapeSlot) -> np.ndarray | None:
+        """Inside (3,) [m] of what a robot has on a link, or on the nearest link above it in the finger; None: nothing.
+
+        Among shapes it hides behind the face with which they touch the box, so that it stands out of the finger nowhere on its way.
+        """
+        system, slots, slot = self.matching.systems[robot], self.matching.slots, shape.slot
+        while slot >= self.matching.arm_size:
+            own = [found for found in system.shapes if found.slot == slot]
             if own:
-                return np.mean(own, axis=0)
-            below = [i for i, s in enumerate(slots) if s.parent == slot and system.present(i)]
-            if system.present(slot) and below:
-                return 0.5 * (system.joints[slot].screw.anchor + system.joints[below[0]].screw.anchor)
+                toward = self._turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
+                first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
+                there = self._turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
+                front = max(found.position @ toward + _extent(found, toward) for found in own)
+                middle = np.mean([found.position for found in own], axis=0)
+                return middle + (front - _extent(shape.owners[first], there) - middle @ toward) * toward
+            below = self._next_below(system, slot)
+            if system.present(slot) and below is not None:
+                return 0.5 * (system.joints[slot].screw.anchor + system.joints[below].screw.anchor)
             slot = slots[slot].parent
+        return None
+
+    def _next_below(self, system: System, slot: int) -> int | None:
+        """The nearest joint that a robot has below a slot, through those that it lacks."""
+        for child, record in enumerate(self.matching.slots):
+            if record.parent == slot:
+                found = child if system.present(child) else self._next_below(system, child)
+                if found is not None:
+                    return found
         return None
 
     def _coupling_fields(self) -> list[Field]:

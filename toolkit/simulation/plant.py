@@ -299,14 +299,13 @@ def mass_addresses(model: mujoco.MjModel, dofs: np.ndarray) -> np.ndarray:
 
 def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant:
     """F(alpha) as a plant; patches ``model`` in place (see MergedRobot.become)."""
-    merged.become(alpha, model, data)
+    targets = merged.become(alpha, model, data)
     theta = merged.space.theta(alpha)
     slots = merged.space.matching.slots
     arm_size = merged.space.matching.arm_size
     index = {slot.name: i for i, slot in enumerate(slots)}
     roles = [index[role] for role in COMMANDED_ROLES]
     driven = [slot.name for slot in slots if slot.name in ROLE_COMMAND]
-    targets = theta["target"][[index[role] for role in driven]]
     law = CommandLaw(
         common=float(theta["common"][0, 0]), gain=float(10.0 ** theta["log_gain"][0, 0]),
         leak=float(theta["leak"][0, 0]), rate=float(10.0 ** theta["log_rate"][0, 0]),

@@ -1,0 +1,325 @@
+"""The robots between two robots: whether what they can do lies between what the two can, and what is to blame where it does not.
+
+The promise, per edge, from what its two ends can do:
+
+    grip             at least 0.8 of the weaker end and at most 1.25 of the stronger
+    balance          never one-sided beyond the worse end
+    height           of the grip within the ends' interval, widened by 5 mm
+    opening, closing within the ends' interval, widened by a tenth
+    script           holds wherever it holds at both ends
+
+It is kept in reserve where an end cannot hold the object at all: there is nothing to promise.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from toolkit.capability.bench import NOTHING, Bench, Capability
+from toolkit.errors import ToolkitError
+from toolkit.evolution.tree import EvolutionTree
+from toolkit.morphology.build import MergedRobot
+
+WEAKER, STRONGER = 0.8, 1.25
+"""Shares of the weaker and of the stronger end between which the grip lies."""
+ASKEW = 0.1
+"""Balance that a robot may lack of the worse end's: what the measurement itself wavers by."""
+HEIGHT_MM = 5.0
+WIDENED = 0.1
+"""Share of the ends' interval, and of its larger end, by which opening and closing time may leave it."""
+ONE_STEP, ONE_MM = 1.0, 1.0
+"""Closing is counted in whole policy steps, and an opening means as little below a millimetre."""
+HOLDS = 15 / 16
+"""Success rate from which a script holds."""
+REFINED = 4
+"""Robots that are looked at beside the evenly spaced ones, each between the worst so far and its neighbours."""
+QUANTITIES = {
+    "grip_n": "grip force", "balance": "balance", "height_mm": "height of the grip", "opening_mm": "opening",
+    "closing_steps": "closing time", "script": "the script",
+}  # fmt: skip
+"""Quantity of a capability -> what it is called."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A straight stretch of evolution: names of its ends, and their alphas (D,)."""
+
+    start: str
+    end: str
+    first: np.ndarray
+    last: np.ndarray
+
+    def at(self, share: float) -> np.ndarray:
+        """The robot (D,) at a share of the way."""
+        return np.clip(self.first + share * (self.last - self.first), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A robot that breaks the promise.
+
+    Attributes:
+        share: of the way.
+        quantity: key of QUANTITIES.
+        value: what it has.  allowed: (low, high) what the ends allow.
+        cause: which element, and which of its quantities, take it there; None: not asked.
+    """
+
+    share: float
+    quantity: str
+    value: float
+    allowed: tuple[float, float]
+    cause: str | None = None
+
+    @property
+    def excess(self) -> float:
+        """How far the value lies outside, as a share of the nearer limit; what has no value is as far out as can be."""
+        low, high = self.allowed
+        if not np.isfinite(self.value):
+            return float("inf")
+        return max(low - self.value, self.value - high) / max(abs(low if self.value < low else high), 1.0)
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain numbers; an open limit is null."""
+        plain = lambda x: round(float(x), 4) if np.isfinite(x) else None  # noqa: E731
+        return {"share": round(self.share, 4), "quantity": self.quantity, "value": plain(self.value),
+                "allowed": [plain(x) for x in self.allowed], "cause": self.cause}  # fmt: skip
+
+    def sentence(self) -> str:
+        """In words, for a table and for a run's report."""
+        low, high = self.allowed
+        asked = f"at least {low:.3g}" if self.value < low else f"at most {high:.3g}"
+        because = "" if self.cause is None else f"; caused by {self.cause}"
+        return f"{QUANTITIES[self.quantity]} {self.value:.3g} at {self.share:.1%} of the way, {asked} asked{because}"
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An audited way: what its robots can do, by share of the way, and where that breaks the promise (worst first)."""
+
+    way: Way
+    robots: dict[float, Capability]
+    violations: list[Violation] = field(default_factory=list)
+    reserve: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain numbers."""
+        return {
+            "from": self.way.start, "to": self.way.end, "reserve": self.reserve,
+            "robots": [{"share": round(share, 4), **robot.to_json()} for share, robot in sorted(self.robots.items())],
+            "violations": [violation.to_json() for violation in self.violations],
+        }  # fmt: skip
+
+    @property
+    def ends(self) -> tuple[Capability, Capability]:
+        """What the two ends can do."""
+        return self.robots[0.0], self.robots[1.0]
+
+
+def ways_of(tree: EvolutionTree) -> list[Way]:
+    """The edges of an evolution tree, those of length zero left out."""
+    nodes = tree.nodes
+    return [Way(nodes[e.start].name, nodes[e.end].name, nodes[e.start].alpha, nodes[e.end].alpha) for e in tree.edges if e.length > 1e-9]
+
+
+def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, float] | None:
+    """What the ends of a way allow of a quantity in between; None: an end has no value, or its script does not hold."""
+    ends = [getattr(robot, quantity) for robot in (first, last)]
+    if any(end is None for end in ends):
+        return None
+    low, high = min(ends), max(ends)
+    if quantity == "grip_n":
+        return WEAKER * low, STRONGER * high
+    if quantity == "balance":
+        return low - ASKEW, np.inf
+    if quantity == "height_mm":
+        return low - HEIGHT_MM, high + HEIGHT_MM
+    if quantity == "script":
+        return (HOLDS, np.inf) if low >= HOLDS else None
+    slack = WIDENED * max(high - low, high) + (ONE_STEP if quantity == "closing_steps" else ONE_MM)
+    return low - slack, high + slack
+
+
+def reserve(way: Way, first: Capability, last: Capability) -> str | None:
+    """Why the promise is not meant on a way: an end that holds nothing; None: it is."""
+    for name, robot in ((way.start, first), (way.end, last)):
+        if robot.grip_n < NOTHING:
+            return f"{name} grips the object with {robot.grip_n:.2f} N, so there is nothing to promise on the way"
+    return None
+
+
+def violations(robots: dict[float, Capability]) -> list[Violation]:
+    """Where the robots between the ends, by share of the way, break the promise; worst first."""
+    first, last = robots[0.0], robots[1.0]
+    out = []
+    for quantity in QUANTITIES:
+        limits = allowed(quantity, first, last)
+        if limits is None:
+            continue
+        for share, robot in robots.items():
+            value = getattr(robot, quantity)
+            if quantity == "script" and value is None:
+                continue
+            value = np.inf if value is None else float(value)
+            if quantity in ("height_mm", "balance") and robot.grip_n < NOTHING:
+                continue  # where nothing acts there is no place and no balance; the grip says it
+            if not limits[0] <= value <= limits[1]:
+                out.append(Violation(share, quantity, value, limits))
+    return sorted(out, key=lambda violation: -violation.excess)
+
+
+class Audit:
+    """Audits ways through one merged robot, on all cores.
+
+    Args:
+        merged: the merged robot in its task.
+        robots: evenly spaced per way, its ends included.
+        episodes: of the script per robot and grasp; 0: it is not tried.
+        scripted: every how many of them the script is tried on.
+        causes: whether to ask what causes the worst violation of every quantity.
+        threads: workers; default: the machine's cores.
+    """
+
+    def __init__(
+        self, merged: MergedRobot, robots: int = 17, episodes: int = 4, scripted: int = 4, causes: bool = True,
+        threads: int | None = None,
+    ) -> None:  # fmt: skip
+        if robots < 2 or episodes < 0 or scripted < 1:
+            raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
+        self.merged, self.count, self.episodes, self.scripted, self.causes = merged, robots, episodes, scripted, causes
+        self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
+        self._idle: SimpleQueue[Bench] = SimpleQueue()
+        for _ in range(self._pool._max_workers):
+            self._idle.put(Bench(merged))
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self._pool.shutdown()
+
+    def along(self, way: Way) -> Edge:
+        """What the robots of a way can do, evenly spaced and where it looks worst, and what causes it."""
+        shares = np.linspace(0.0, 1.0, self.count)
+        tried = {float(s) for s in shares[:: self.scripted]} | {1.0}
+        robots = self._measured(way, shares, tried)
+        why = reserve(way, robots[0.0], robots[1.0])
+        if why is not None:
+            return Edge(way, robots, [], why)
+        robots |= self._refined(way, robots)
+        found = violations(robots)
+        if self.causes:
+            worst = {v.quantity: v for v in reversed(found)}
+            found = [replace(v, cause=self.cause(way, v, robots)) if worst[v.quantity] is v else v for v in found]
+        return Edge(way, dict(sorted(robots.items())), found)
+
+    def _measured(self, way: Way, shares: Sequence[float], scripted: set[float]) -> dict[float, Capability]:
+        ask = lambda share: self._one(way.at(share), self.episodes if float(share) in scripted else 0)  # noqa: E731
+        return {float(share): robot for share, robot in zip(shares, self._pool.map(ask, shares), strict=True)}
+
+    def _one(self, alpha: np.ndarray, episodes: int = 0) -> Capability:
+        bench = self._idle.get()
+        try:
+            return bench.measure(alpha, episodes)
+        finally:
+            self._idle.put(bench)
+
+    def _alone(self, alpha: np.ndarray, quantity: str) -> float:
+        """One quantity of a robot; one that has no value counts as 0."""
+        bench = self._idle.get()
+        try:
+            return float(bench.quantity(alpha, quantity, self.episodes) or 0.0)
+        finally:
+            self._idle.put(bench)
+
+    def _refined(self, way: Way, robots: dict[float, Capability]) -> dict[float, Capability]:
+        """Robots halfway between the worst one so far and its neighbours; the grip's lowest where nothing is wrong."""
+        out: dict[float, Capability] = {}
+        while len(out) < REFINED:
+            known = robots | out
+            found = violations(known)
+            inner = [share for share in known if 0.0 < share < 1.0] or [0.0]
+            worst = found[0].share if found else min(inner, key=lambda share: known[share].grip_n)
+            order = sorted(known)
+            place = order.index(worst)
+            sides = [0.5 * (order[place] + order[other]) for other in (place - 1, place + 1) if 0 <= other < len(order)]
+            fresh = self._measured(way, sides, set(sides) if found and found[0].quantity == "script" else set())
+            out |= fresh
+        return out
+
+    # ---- what is to blame ----------------------------------------------------------------------------------------
+
+    def cause(self, way: Way, violation: Violation, robots: dict[float, Capability]) -> str | None:
+        """The element, and its quantities, that take a robot out of the promise: each moved there by itself from a sound robot.
+
+        The sound robot is the nearest on the way that breaks nothing. None: no single element does it.
+        """
+        broken = {v.share for v in violations(robots) if v.quantity == violation.quantity}
+        sound = [share for share in robots if share not in broken]
+        start = way.at(min(sound, key=lambda share: abs(share - violation.share)))
+        goal = way.at(violation.share)
+        space = self.merged.space
+        moving = np.flatnonzero(np.abs(goal - start) > 1e-12)
+        elements: dict[str, set[int]] = {}
+        quantities: dict[int, list[str]] = {}
+        for parameter in space.parameters:
+            if parameter.dimension in moving:
+                elements.setdefault(parameter.element, set()).add(parameter.dimension)
+                quantities.setdefault(parameter.dimension, []).append(parameter.name.split(".")[1])
+        first, element = self._blamed(violation, start, goal, {name: sorted(dims) for name, dims in elements.items()})
+        if element is None:
+            return None
+        parts = {str(dimension): [dimension] for dimension in elements[element]}
+        if len(parts) == 1:
+            return f"{element}, whose quantities move as one here"
+        second, dimension = self._blamed(violation, start, goal, parts)
+        if dimension is None or second < 0.5 * first:
+            return f"{element}, by several of its quantities together"
+        return f"{element}: {', '.join(dict.fromkeys(quantities[int(dimension)]))}"
+
+    def _blamed(
+        self, violation: Violation, start: np.ndarray, goal: np.ndarray, groups: dict[str, list[int]]
+    ) -> tuple[float, str | None]:
+        """Which group of dimensions, moved to the goal by itself, takes the quantity furthest the wrong way; and how far."""
+        sign = 1.0 if violation.value > violation.allowed[1] else -1.0
+
+        def moved(dimensions: list[int]) -> float:
+            alpha = start.copy()
+            alpha[dimensions] = goal[dimensions]
+            return self._alone(alpha, violation.quantity)
+
+        base = self._alone(start, violation.quantity)
+        names = list(groups)
+        changes = sign * (np.array(list(self._pool.map(moved, groups.values()))) - base)
+        best = int(np.argmax(changes))
+        return float(changes[best]), names[best] if changes[best] > 0.0 else None
+
+
+def run_audit(
+    merged: MergedRobot, ways: Sequence[Way], progress: Callable[[str, int, int], None] = lambda name, done, total: None, **options: Any
+) -> list[Edge]:
+    """Audit every way; see ``Audit`` for the options. ``progress`` is told the edge, how many are done, of how many."""
+    audit, out = Audit(merged, **options), []
+    try:
+        for way in ways:
+            out.append(audit.along(way))
+            progress(f"{way.start} to {way.end}", len(out), len(ways))
+    finally:
+        audit.close()
+    return out
+
+
+def verdict(edges: Sequence[Edge]) -> str:
+    """One line on what an audit found."""
+    broken = [(edge, edge.violations[0]) for edge in edges if edge.violations]
+    kept = [edge for edge in edges if edge.reserve is None]
+    if not broken:
+        parts = [min(robot.grip_n for robot in e.robots.values()) / max(min(r.grip_n for r in e.ends), 1e-9) for e in kept]
+        weakest = f", grip at least {min(parts):.2f} of the weaker end's" if parts else ""
+        return f"audit: what the robots can do changes evenly along all {len(kept)} edges{weakest}"
+    edge, worst = max(broken, key=lambda pair: pair[1].excess)
+    where = f"{edge.way.start} to {edge.way.end}"
+    return f"audit: {len(broken)} of {len(edges)} edges lead through worse robots; worst from {where}: {worst.sentence()}"

@@ -1,0 +1,202 @@
+"""Compiled: the posture in which a finger meets the reference box, near one that is only guessed.
+
+Fingers are chains of screws at the start posture (product of exponentials), as everywhere in the merged robot.
+"""
+
+import numba
+import numpy as np
+
+ROUNDS = 8
+"""Gauss-Newton steps."""
+ENOUGH = 1e-7
+"""Change [rad] of every joint in one of them from which on there is nothing left to do."""
+STEP = 0.3
+"""Largest change [rad] of a joint in one of them."""
+GAP, HEIGHT, PITCH, STAY = 1e3, 1e2, 8.0, 1.0
+"""Weights of a gap [1/m], a height [1/m], a pitch and a joint's departure from the guess [1/rad]: a finger meets the box first of
+all, then at the right height and with its pad as flat as meant, and moves no more than that asks."""
+FROZEN = 30.0
+"""Weight of the departure of a joint that the robot lacks."""
+SLIDE = 20.0
+"""Radians that a metre of slide counts for."""
+FAR = 1.0
+"""Gap [m] of a finger that has nothing to touch with."""
+
+
+@numba.njit(cache=True, nogil=True)
+def _turned(turn: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
+    """``turn`` (3, 3) times the rotation about a unit axis (3,) (Rodrigues)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    v = 1.0 - c
+    r = np.array([[c + x * x * v, x * y * v - z * s, x * z * v + y * s],
+                  [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
+                  [z * x * v - y * s, z * y * v + x * s, c + z * z * v]])  # fmt: skip
+    return turn @ r
+
+
+@numba.njit(cache=True, nogil=True)
+def place(
+    angles: np.ndarray, chain: np.ndarray, anchors: np.ndarray, axes: np.ndarray, sliding: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Links of one finger: rotations (n, 3, 3) and shifts (n, 3) of points from the start, and joints' axes and points (n, 3) now.
+
+    Args:
+        angles: (n_all,) [rad, m].
+        chain: (n,) indices of the finger's joints, base first.
+        anchors, axes: (n_all, 3) at the start posture, world.
+        sliding: (n_all,) bool.
+    """
+    count = len(chain)
+    turns, shifts = np.empty((count, 3, 3)), np.empty((count, 3))
+    now, at = np.empty((count, 3)), np.empty((count, 3))
+    turn, shift = np.eye(3), np.zeros(3)
+    for k in range(count):
+        j = chain[k]
+        now[k] = turn @ axes[j]
+        at[k] = turn @ anchors[j] + shift
+        if sliding[j]:
+            shift = shift + now[k] * angles[j]
+        else:
+            turn = _turned(turn, axes[j], angles[j])
+            shift = at[k] - turn @ anchors[j]
+        turns[k], shifts[k] = turn, shift
+    return turns, shifts, now, at
+
+
+@numba.njit(cache=True, nogil=True)
+def _extent(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, direction: np.ndarray) -> float:
+    """How far [m] a geom with axes ``turn @ frame`` reaches from its centre along a direction (3,)."""
+    local = frame.T @ (turn.T @ direction)
+    if box:
+        return abs(local[0]) * size[0] + abs(local[1]) * size[1] + abs(local[2]) * size[2]
+    return abs(local[2]) * size[1] + size[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def gap_of(
+    turns: np.ndarray, shifts: np.ndarray, mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray,
+    sizes: np.ndarray, boxes: np.ndarray, active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray,
+) -> tuple[float, int, np.ndarray]:  # fmt: skip
+    """Distance [m] of a finger from its face of the box, the link that is nearest (index in the chain), and where (3,).
+
+    Beside the box, the way back to it counts as distance as well.
+
+    Args:
+        turns, shifts: from ``place``.
+        mine: indices of the finger's shapes; link: index in the chain of the link of each shape of all.
+        centres, frames, sizes, boxes, active: (m, ...) of all shapes at the start posture.
+        push: (3,) towards the box, +-y.  origin: (3,) its centre.  half: (3,) its half extents.
+    """
+    best, which, where = FAR, 0, np.zeros(3)
+    for s in mine:
+        if active[s]:
+            k = link[s]
+            centre = turns[k] @ centres[s] + shifts[k]
+            off = centre - origin
+            reach = _extent(turns[k], frames[s], sizes[s], boxes[s], push)
+            gap = -(off @ push) - half[1] - reach
+            for axis in (0, 2):
+                direction = np.zeros(3)
+                direction[axis] = 1.0
+                gap += max(0.0, abs(off[axis]) - half[axis] - _extent(turns[k], frames[s], sizes[s], boxes[s], direction))
+            if gap < best:
+                best, which, where = gap, k, centre + reach * push
+    return best, which, where
+
+
+@numba.njit(cache=True, nogil=True)
+def levers(
+    joints: np.ndarray, finger_of: np.ndarray, sliding: np.ndarray, axes: np.ndarray, anchors: np.ndarray, tips: np.ndarray,
+    shifts: np.ndarray, turns: np.ndarray, points: np.ndarray, push: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Torque (n,) [N m, N for a slide] on each finger joint per newton that its finger presses with.
+
+    Args:
+        joints: (n,) rows of ``axes`` and ``anchors`` (nj, 3), world.  finger_of: (n,).  sliding: (n,) bool.
+        tips: (n_fingers,) rows of ``shifts`` (nb, 3) and ``turns`` (nb, 9) of the last links.
+        points: (n_fingers, 3) from the last link's origin, in its axes.  push: (n_fingers, 3) towards the box.
+    """
+    out = np.empty(len(joints))
+    for i in range(len(joints)):
+        f, j = finger_of[i], joints[i]
+        along = axes[j]
+        if not sliding[i]:
+            turn = turns[tips[f]].reshape(3, 3)
+            arm = turn @ points[f] + shifts[tips[f]] - anchors[j]
+            along = np.cross(axes[j], arm)
+        out[i] = along[0] * push[f, 0] + along[1] * push[f, 1] + along[2] * push[f, 2]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def held(
+    residual: np.ndarray, solimp: np.ndarray, time: np.ndarray, inverse: np.ndarray, active: np.ndarray
+) -> np.ndarray:
+    """Forces (n,) of soft constraints at rest: a residual r is met by -r d^2 / (t^2 D^2 (1 - d) A).
+
+    That is MuJoCo's static constraint force (computation, solver parameters): stiffness d / (D t)^2 over regularisation
+    (1 - d) A / d, with impedance d(r) in ``solimp`` (n, 3+): at rest, displaced (D), width; ``time`` t and ``inverse`` inertia A.
+    """
+    out = np.zeros(len(residual))
+    for i in range(len(residual)):
+        if active[i]:
+            low, top = solimp[i, 0], solimp[i, 1]
+            share = min(abs(residual[i]) / solimp[i, 2], 1.0)
+            d = low + (top - low) * (2.0 * share * share if share < 0.5 else 1.0 - 2.0 * (1.0 - share) ** 2)
+            out[i] = -residual[i] * d * d / (top * top * time[i] * time[i] * (1.0 - d) * inverse[i])
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def meet(
+    guess: np.ndarray, free: np.ndarray, chain: np.ndarray, anchors: np.ndarray, axes: np.ndarray, sliding: np.ndarray,
+    mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
+    active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
+    pitching: np.ndarray, gap: float, height: float,
+) -> np.ndarray:  # fmt: skip
+    """Angles (n,) of one finger's joints near a guess: its gap and the height of its nearest point as asked, its pad pitched as guessed.
+
+    Args:
+        guess: (n_all,) [rad, m].  free: (n_all,) 1 for a joint, 0 for one that is frozen.
+        sideways: (3,) the axis about which a pad pitches.  pitching: (n_all,) bool, joints that turn the pad.
+        gap: [m] to the box.  height: [m], world, of where it is nearest.
+        others: as for ``place`` and ``gap_of``.
+    """
+    count = len(chain)
+    angles, change = guess.copy(), np.zeros(count)
+    lower, upper = np.empty((count + 3, count)), np.empty(count + 3)
+    weight, scale = np.empty(count), np.ones(count)
+    for k in range(count):
+        weight[k] = STAY + FROZEN * (1.0 - free[chain[k]])
+        if sliding[chain[k]]:
+            scale[k] = SLIDE
+    up = np.array([0.0, 0.0, 1.0])
+    for _ in range(ROUNDS):
+        turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
+        miss, touching, where = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
+        lower[:], upper[:] = 0.0, 0.0
+        for k in range(count):
+            slide = sliding[chain[k]]
+            if k <= touching and miss < FAR:
+                along = now[k] if slide else np.cross(now[k], where - at[k])
+                lower[0, k] = -GAP * (along @ push) / scale[k]
+                lower[1, k] = HEIGHT * (along @ up) / scale[k]
+            lower[2, k] = PITCH * (now[k] @ sideways) if pitching[chain[k]] else 0.0
+            lower[3 + k, k] = weight[k]
+            upper[2] += lower[2, k] * change[k]
+            upper[3 + k] = weight[k] * change[k]
+        if miss < FAR:
+            upper[0], upper[1] = GAP * (miss - gap), HEIGHT * (where[2] - height)
+        step = np.linalg.solve(lower.T @ lower, -(lower.T @ upper))
+        largest = 0.0
+        for k in range(count):
+            largest = max(largest, abs(step[k]))
+            change[k] += min(max(step[k], -STEP), STEP)
+            angles[chain[k]] = guess[chain[k]] + change[k] / scale[k]
+        if largest < ENOUGH:
+            break
+    out = np.empty(count)
+    for k in range(count):
+        out[k] = angles[chain[k]]
+    return out

@@ -1,0 +1,349 @@
+"""The grip in between: what a robot's fingers do on a reference box, and the motors that make them do it.
+
+Numbers that work together do not mean the same when each is interpolated by itself: a motor's limit falls in a straight line
+while the spring, the tendon and the friction that it works against rise, and half way nothing is left for the object. So motors
+are not interpolated. What is interpolated, in a straight line over alpha, is what a finger does: how hard it presses, where, and
+in which posture, when the gripper is closed on a box of BOX_WIDTH. At any alpha the posture's Jacobian tells the torque that each
+joint needs for it (principle of virtual work), the robot's springs, tendons and linkages there tell what they take of it, and the
+rest is the motor's.
+
+At each robot of the space that is, by construction, the robot's own motor.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from grippers.gripper import slides
+from tasks.pick import START_POSITION, START_ROTATION
+from toolkit.morphology.contact import gap_of, held, levers, meet, place
+from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
+from toolkit.morphology.patch import Patch
+from toolkit.morphology.space import EvolutionSpace
+
+MAIN_ROLES = ("FFS", "FFJ2", "MFJ2", "RFJ2", "LFJ2", "THS", "THJ4")
+"""Joints whose motors close a finger and may stall; the finger's other joints hold its shape."""
+OVERDRIVE = {False: 0.1, True: 0.005}
+"""How far [rad, m for a slide] the closing target of a main joint lies behind the posture in which its motor stalls, at least,
+away from the robots: so the grip does not depend on where exactly the finger meets the object."""
+NEAR = 0.1
+"""Distance (largest difference of a finger's alphas) from the nearest robot at which OVERDRIVE is whole."""
+PRESSING = 2.0
+"""Pressure [N] from which a finger must touch the box, though at one robot it does not."""
+HALF = np.array([BOX_HALF_SIZE[0], BOX_WIDTH / 2, BOX_HALF_SIZE[2]])
+"""Half extents [m] of the reference box."""
+SIDEWAYS = np.ascontiguousarray(START_ROTATION[:, 1])
+"""Axis (3,) about which pads pitch, world."""
+STRONGEST = 3.0
+"""Torque [N m, N] that every finger motor may be given: as much as ADROIT's. More, only where a robot has more."""
+LEEWAY, LEAVING = 0.1, 0.1
+"""How far [rad] a joint's limits lie beyond the posture on the box, and from which share of NEAR on."""
+HOLD = 1.0
+"""Stiffness [N m/rad] added to the actuators of a finger's other joints away from the robots, so that its shape is held also between
+two linkages, whose pads have no motors: as stiff as ADROIT's own servos."""
+DAMPING = 0.05
+"""Damping [N m s/rad] added with it: ADROIT's own."""
+HEADROOM = 1.5
+"""Share of the torque on the box that a joint's motor can give, at least, where it does not stall."""
+TOUCH = 0.05
+"""Pressure [N] from which a finger counts as touching the box."""
+WEAKEST = 1e-9
+"""Stiffness [N m/rad] of an actuator below which it does nothing."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """What the fingers of one robot do on the reference box.
+
+    Attributes:
+        angles: (n_slots,) [rad, m].
+        force: (n_fingers,) [N], each finger's own pressure across the jaws.
+        point: (n_fingers, 3) [m] where it acts, on the finger's last link, at the start posture, world axes.
+    """
+
+    angles: np.ndarray
+    force: np.ndarray
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
+class Motors:
+    """What the law makes of the finger actuators and their joints, one entry per driven slot.
+
+    Attributes:
+        closed: (n,) position targets [rad, m] at the closing command +1.
+        limit: (n,) largest torques [N m, N].
+        stiffness: (n,) position gains [N m/rad, N/m].
+        damping: (n,) of the joints, beyond their own [N m s/rad].
+        range: (n, 2) limits of the joints [rad, m].
+    """
+
+    closed: np.ndarray
+    limit: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    range: np.ndarray
+
+
+Write = Callable[[np.ndarray, mujoco.MjModel, mujoco.MjData], Patch]
+Become = Callable[[np.ndarray, mujoco.MjModel, mujoco.MjData], np.ndarray]
+
+
+class GraspLaw:
+    """Motors of the merged robot's fingers, from what each robot's fingers do on the reference box.
+
+    Args:
+        space: the evolution space.
+        driven: slots whose joints have actuators, as the merged robot orders them.
+        write, become: F without and with the strengths of the actuators; as long as it has no law, these are interpolated.
+        model, data: a merged robot to measure on.
+    """
+
+    def __init__(
+        self, space: EvolutionSpace, driven: Sequence[int], write: Write, become: Become, model: mujoco.MjModel, data: mujoco.MjData
+    ) -> None:
+        self._space = space
+        slots = space.matching.slots
+        self._arm = space.matching.arm_size
+        self.driven = np.array(driven)
+        self.fingers = tuple(dict.fromkeys(slots[i].element for i in self.driven))
+        self._finger_of = np.array([self.fingers.index(slots[i].element) for i in self.driven])
+        self._tips = np.array([max(i for i in self.driven if slots[i].element == finger) for finger in self.fingers])
+        closing = START_ROTATION[:, 0]
+        self._push = np.array([-closing if finger == "TH" else closing for finger in self.fingers])
+        self._main = np.array([slots[i].name in MAIN_ROLES for i in self.driven])
+        self._sliding = np.array([slides(slots[i].name) for i in self.driven])
+        # Pads lie on the links that both hands and jaws have; the hand's last phalanx, beyond them, is round.
+        self._pitching = np.array([not slides(slots[i].name) and not slots[i].name.endswith("J0") for i in self.driven])
+        self._overdrive = np.array([OVERDRIVE[bool(s)] for s in self._sliding])
+        self._dimensions = [
+            np.unique([p.dimension for p in space.parameters if p.element == finger]).astype(int) for finger in self.fingers
+        ]
+        self._betas = space.betas
+        # A finger on which no robots differ has no dimension; it shares the first one's, and moves with nothing.
+        listed = [d if len(d) else np.zeros(1, int) for d in self._dimensions]
+        self._all_dimensions = np.concatenate(listed)
+        self._first_dimension = np.cumsum([0, *(len(d) for d in listed[:-1])])
+        self._joints = np.array([model.joint(slots[i].name).id for i in self.driven])
+        self._qpos, self._dofs = model.jnt_qposadr[self._joints], model.jnt_dofadr[self._joints]
+        self._tip_bodies = np.array([model.body(slots[i].name).id for i in self._tips])
+        self._chains()
+        self._constraints(model)
+        self.grasps = [self._measured(become, beta, model, data) for beta in space.betas]
+        self._presses = np.max([grasp.force for grasp in self.grasps], axis=0) > 0
+        self._fit(write, model, data)
+
+    def _chains(self) -> None:
+        """The fingers as chains of driven joints, base first, and their collision geoms."""
+        shapes = self._space.shape_slots
+        index = {slot: k for k, slot in enumerate(self.driven)}
+        self._chain = [np.flatnonzero(self._finger_of == f) for f in range(len(self.fingers))]
+        carrying = [k for k, shape in enumerate(shapes) if shape.slot in index]
+        finger = np.array([self._finger_of[index[shapes[k].slot]] for k in carrying])
+        self._carrying, self._carrier = np.array(carrying), np.array([shapes[k].slot for k in carrying])
+        self._own_shapes = [np.flatnonzero(finger == f) for f in range(len(self.fingers))]
+        self._link = np.array([int(np.flatnonzero(self._chain[f] == index[shapes[k].slot])[0])
+                               for k, f in zip(carrying, finger, strict=True)])  # fmt: skip
+        self._boxes = np.array([shapes[k].kind == mujoco.mjtGeom.mjGEOM_BOX for k in carrying])
+
+    def _solids(self, p: Patch) -> tuple[np.ndarray, ...]:
+        """Centres, axes, sizes, kinds and whether they touch of the fingers' geoms at the start posture."""
+        centres = p.shape_pos[self._carrying] + p.anchor[self._carrier]
+        frames = np.empty((len(self._carrying), 9))
+        for row, quat in zip(frames, p.shape_quat[self._carrying], strict=True):
+            mujoco.mju_quat2Mat(row, quat)
+        return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_contact[self._carrying] > 0
+
+    def _gaps_and_heights(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (n_fingers,) [m] of the fingers from the box, and heights [m] of where they are nearest."""
+        out = np.empty((2, len(self.fingers)))
+        solids = self._solids(p)
+        for f, chain in enumerate(self._chain):
+            turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
+            out[0, f], _, where = gap_of(
+                turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)  # fmt: skip
+            out[1, f] = where[2]
+        return out[0], out[1]
+
+    def _meeting(self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray) -> np.ndarray:
+        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, and as high, as asked."""
+        out, solids = angles.copy(), self._solids(p)
+        free = 1.0 - p.freeze[self.driven]
+        for f, chain in enumerate(self._chain):
+            if not self._presses[f]:
+                continue
+            out[chain] = meet(
+                angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
+                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, gap[f], height[f],
+            )  # fmt: skip
+        return out
+
+    # ---- the robots' own grasps --------------------------------------------------------------------------------
+
+    def _measured(self, become: Become, beta: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Grasp:
+        """A robot closed on the box, as ``parity.squeeze`` closes it."""
+        slots = self._space.matching.slots
+        targets = become(beta, model, data)
+        preshape = float(self._space.theta(beta)["preshape"][0, 0])
+        arm = [model.joint(slot.name).id for slot in slots[: self._arm]]
+        actuators = [model.actuator(slots[i].name).id for i in self.driven]
+        item = model.body("object").id
+        bench, data = closed_on_box(model, model.qpos0, arm, item, actuators, targets, preshape)
+        force, moment = np.zeros(len(self.fingers)), np.zeros((len(self.fingers), 3))
+        angles, samples = np.zeros(len(slots)), int(round(SETTLED / bench.opt.timestep))
+        qpos = bench.jnt_qposadr[[bench.joint(slot.name).id for slot in slots]]
+        for _ in range(samples):
+            mujoco.mj_step(bench, data)
+            self._add_contacts(bench, data, item, force, moment)
+            angles += data.qpos[qpos] / samples
+        tips = self._space.theta(beta)["anchor"][self._tips]
+        turns = data.xmat[self._tip_bodies].reshape(-1, 3, 3)
+        away = moment / np.maximum(force, 1e-12)[:, None] - data.xpos[self._tip_bodies]
+        touched = force > TOUCH * samples
+        point = tips + np.einsum("fji,fj->fi", turns, away) * touched[:, None]
+        return Grasp(angles, force / samples * touched, point)
+
+    def _add_contacts(
+        self, model: mujoco.MjModel, data: mujoco.MjData, item: int, force: np.ndarray, moment: np.ndarray
+    ) -> None:
+        wrench = np.zeros(6)
+        element = {slot.name: slot.element for slot in self._space.matching.slots}
+        for index in np.flatnonzero(np.any(model.geom_bodyid[data.contact.geom] == item, axis=1)):
+            contact = data.contact[index]
+            bodies = model.geom_bodyid[contact.geom]
+            finger = element.get(model.body(bodies[0] if bodies[1] == item else bodies[1]).name)
+            if finger in self.fingers:
+                mujoco.mj_contactForce(model, data, index, wrench)
+                normal = contact.frame[:3] * (1.0 if bodies[1] == item else -1.0)
+                which = self.fingers.index(finger)
+                across = float(wrench[0] * (normal @ self._push[which]))
+                force[which] += across
+                moment[which] += across * contact.pos
+
+    # ---- straight lines over alpha -----------------------------------------------------------------------------
+
+    def _fit(self, write: Write, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """The affine maps of least gradient, over each finger's own dimensions, that meet every robot."""
+        space, count = self._space, len(self.driven)
+        size, robots = space.size, len(self.grasps)
+        angles = np.array([grasp.angles[self.driven] for grasp in self.grasps])
+        force = np.array([grasp.force for grasp in self.grasps])
+        point = np.array([grasp.point for grasp in self.grasps])
+        rows = np.zeros((robots, 4, count))
+        required = np.zeros((robots, count))
+        gaps, heights = np.zeros((2, robots, len(self.fingers)))
+        for robot, beta in enumerate(space.betas):
+            theta = space.theta(beta)
+            stiffness, limit = (theta[name][self.driven, 0] for name in ("stiffness", "force_limit"))
+            p = write(beta, model, data)
+            angles[robot] *= 1.0 - p.freeze[self.driven]  # what sags in a frozen joint is no posture
+            needed = self._needed(model, data, p, angles[robot], force[robot], point[robot])
+            gaps[robot], heights[robot] = self._gaps_and_heights(p, angles[robot])
+            wanted = stiffness * (theta["target"][self.driven, 1] - angles[robot])
+            own = np.clip(wanted, -limit, limit)
+            beyond = np.where(self._main & (stiffness > WEAKEST), wanted - own, 0.0)
+            slack = np.where(self._main, limit - own, 0.0)
+            required[robot] = needed
+            rows[robot] = own - needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
+        each = np.arange(len(self.fingers))
+        self._strongest = np.maximum(np.abs(rows[:, 0] + required).max(axis=0), STRONGEST)
+        blocks = [
+            ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
+            ("point", point.reshape(robots, -1), np.repeat(each, 3)),
+            *((name, rows[:, k], self._finger_of) for k, name in enumerate(("error", "beyond", "slack", "both"))),
+        ]  # fmt: skip
+        values = np.concatenate([block for _, block, _ in blocks], axis=1)
+        owners = np.concatenate([owner for _, _, owner in blocks])
+        ends = np.cumsum([block.shape[1] for _, block, _ in blocks])
+        self._cuts = {name: slice(end - block.shape[1], end) for (name, block, _), end in zip(blocks, ends, strict=True)}
+        self._slope = np.zeros((size, values.shape[1]))
+        for finger, dimensions in enumerate(self._dimensions):
+            mine = np.flatnonzero(owners == finger)
+            steps = space.betas[1:, dimensions] - space.betas[0, dimensions]
+            self._slope[np.ix_(dimensions, mine)] = np.linalg.pinv(steps, rcond=1e-9) @ (values[1:, mine] - values[0, mine])
+        self._offset = values[0] - space.betas[0] @ self._slope
+        self._low, self._high = values.min(axis=0), values.max(axis=0)
+
+    # ---- the motors --------------------------------------------------------------------------------------------
+
+    def _needed(
+        self, model: mujoco.MjModel, data: mujoco.MjData, p: Patch, angles: np.ndarray, force: np.ndarray, point: np.ndarray
+    ) -> np.ndarray:
+        """Motor torques (n_driven,) [N m, N] in equilibrium with a finger's pressure on the box and its springs, at rest."""
+        data.qpos[:] = model.qpos0
+        data.qpos[self._qpos] = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_passive(model, data)
+        lever = levers(
+            self._joints, self._finger_of, self._sliding, data.xaxis, data.xanchor, self._tip_bodies, data.xpos, data.xmat,
+            point - p.anchor[self._tips], self._push,
+        )  # fmt: skip
+        return lever * force[self._finger_of] - (data.qfrc_spring + self._held(model, data))[self._dofs]
+
+    def _held(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """(nv,) torques of the soft constraints on fingers at rest."""
+        out = np.zeros(model.nv)
+        solimp, time, active, goal = model.eq_solimp, model.eq_solref[:, 0], model.eq_active0, model.eq_data
+        if len(self._tendons):
+            e, t = self._tendons
+            residual = data.ten_length[t] - model.tendon_length0[t] - goal[e, 0]
+            force = held(residual, solimp[e], time[e], model.tendon_invweight0[t], active[e])
+            for row, joints, wraps in zip(force, self._wrapped, self._wraps, strict=True):
+                out[joints] += row * model.wrap_prm[wraps]
+        if len(self._curves):
+            e, pads, drives = self._curves
+            x, bend = data.qpos[self._qpos_of[drives]], goal[e, 1:3]
+            inverse = model.dof_invweight0[pads] + model.dof_invweight0[drives]
+            residual = data.qpos[self._qpos_of[pads]] - bend[:, 0] * x - bend[:, 1] * x * x
+            force = held(residual, solimp[e], time[e], inverse, active[e])
+            out[pads] += force
+            out[drives] -= force * (bend[:, 0] + 2.0 * bend[:, 1] * x)
+        return out
+
+    def _constraints(self, model: mujoco.MjModel) -> None:
+        """Where the soft constraints stand in the model: on tendons, and on pads that follow curves."""
+        tendon = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_TENDON)
+        joint = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)
+        self._tendons = (tendon, model.eq_obj1id[tendon]) if len(tendon) else ()
+        first, count = model.tendon_adr, model.tendon_num
+        self._wraps = [np.arange(first[t], first[t] + count[t]) for t in model.eq_obj1id[tendon]]
+        self._wrapped = [model.jnt_dofadr[model.wrap_objid[wraps]] for wraps in self._wraps]
+        self._curves = (joint, model.jnt_dofadr[model.eq_obj1id[joint]], model.jnt_dofadr[model.eq_obj2id[joint]]) if len(joint) else ()
+        self._qpos_of = model.jnt_qposadr[model.dof_jntid]  # of a degree of freedom; the free object's are not asked for
+
+    def motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> Motors:
+        """The finger actuators at ``alpha`` (D,), in the order of the driven slots.
+
+        Args:
+            p: what F writes there.
+            model, data: patched; the configuration in ``data`` is overwritten.
+        """
+        value = np.clip(alpha @ self._slope + self._offset, self._low, self._high)
+        angles, force, gap, height, point, error, beyond, slack, both = (value[cut] for cut in self._cuts.values())
+        gap = gap - np.maximum(gap, 0.0) * np.clip(force / PRESSING, 0.0, 1.0)
+        angles = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height)
+        torque = self._needed(model, data, p, angles, force, point.reshape(-1, 3)) + error
+        torque = np.clip(torque, -self._strongest, self._strongest)
+        apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
+        nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
+        away = np.minimum(1.0, nearest / NEAR)[self._finger_of]
+        stiffness = p.gain + np.where(self._main, 0.0, HOLD * away)
+        excess = stiffness * np.maximum(beyond, away * self._overdrive * self._main)
+        slack = slack * (1.0 - away)
+        shared = np.minimum(excess, slack)
+        excess, slack = excess - shared + both, slack - shared + both
+        closed = angles + (torque + np.where(self._main, excess, 0.0)) / np.maximum(stiffness, WEAKEST)
+        # A gripper may close beyond a limit that is soft on its own light links, and hard on heavier ones.
+        own, past = p.limits[self.driven], np.stack([angles - LEEWAY, angles + LEEWAY], axis=1)
+        wide = np.stack([np.minimum(own[:, 0], past[:, 0]), np.maximum(own[:, 1], past[:, 1])], axis=1)
+        return Motors(
+            closed=np.where(stiffness > WEAKEST, closed, p.target[:, 1]),
+            limit=np.where(self._main, np.abs(torque) + slack, np.maximum(p.force_limit, HEADROOM * np.abs(torque))),
+            stiffness=stiffness,
+            damping=np.where(self._main, 0.0, DAMPING * away),
+            range=own + np.minimum(1.0, away / LEAVING)[:, None] * (wide - own),
+        )
