@@ -127,6 +127,13 @@ def ways_of(tree: EvolutionTree) -> list[Way]:
     return [Way(nodes[e.start].name, nodes[e.end].name, nodes[e.start].alpha, nodes[e.end].alpha) for e in tree.edges if e.length > 1e-9]
 
 
+def ways_in(tree: dict[str, Any]) -> list[Way]:
+    """The edges of a run's tree, as its tree.json has it."""
+    nodes = {node["name"]: np.array(node["alpha"], float) for node in tree["nodes"]}
+    edges = [edge for edge in tree["edges"] if edge["length"] > 1e-9]
+    return [Way(edge["from"], edge["to"], nodes[edge["from"]], nodes[edge["to"]]) for edge in edges]
+
+
 def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, float] | None:
     """What the ends of a way allow of a quantity in between; None: an end has no value, or its script does not hold."""
     ends = [getattr(robot, quantity) for robot in (first, last)]
@@ -145,9 +152,12 @@ def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, 
     return low - slack, high + slack
 
 
-def reserve(way: Way, first: Capability, last: Capability) -> str | None:
-    """Why the promise is not meant on a way: an end that holds nothing; None: it is."""
+def reserve(way: Way, first: Capability, last: Capability, width: float) -> str | None:
+    """Why the promise is not meant on a way: an end that cannot hold an object ``width`` [m] wide; None: it is."""
     for name, robot in ((way.start, first), (way.end, last)):
+        # A hand may open by less than the object's width beside the grasp frame, and reach over it all the same.
+        if robot.opening_mm < 1e3 * width and robot.balance > 0.0:
+            return f"{name} opens by {robot.opening_mm:.0f} mm and the object is {1e3 * width:.0f} mm wide, so there is nothing to promise"
         if robot.grip_n < NOTHING:
             return f"{name} grips the object with {robot.grip_n:.2f} N, so there is nothing to promise on the way"
     return None
@@ -206,7 +216,7 @@ class Audit:
         shares = np.linspace(0.0, 1.0, self.count)
         tried = {float(s) for s in shares[:: self.scripted]} | {1.0}
         robots = self._measured(way, shares, tried)
-        why = reserve(way, robots[0.0], robots[1.0])
+        why = reserve(way, robots[0.0], robots[1.0], self.merged.task.object.width)
         if why is not None:
             return Edge(way, robots, [], why)
         robots |= self._refined(way, robots)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import tyro
 
+from toolkit.cli.audits import audit
 from toolkit.cli.benchmarks import bench
 from toolkit.cli.deployment import deploy, export, twin
 from toolkit.cli.inspection import doctor, morph, replay, report, view
@@ -17,7 +18,7 @@ from toolkit.errors import ToolkitError
 from toolkit.quiet import silence_robosuite
 
 app = tyro.extras.SubcommandApp()
-for command in (robots, match, tree, expert, transfer, evaluate, view, report, morph, replay, export, verify, deploy, twin, doctor):
+for command in (robots, match, tree, audit, expert, transfer, evaluate, view, report, morph, replay, export, verify, deploy, twin, doctor):
     app.command(command)
 app.command(recordings, name="recordings", help="Recordings of hands: make a stand-in, list, retarget to the source's hand.")
 app.command(bench, name="bench", help="Measure the toolkit itself.")

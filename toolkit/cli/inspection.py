@@ -93,7 +93,7 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
     from toolkit.recording import shows
 
     file = out or path / "recording.rrd"
-    print(shows.rebuild(_known(path), file))
+    print(shows.rebuild(known_run(path), file))
     return file
 
 
@@ -166,7 +166,7 @@ def _begun(folder: Path) -> "Known":
         print(f"waiting for the transfer of {folder} to begin: {why}", flush=True)
     while waits():
         time.sleep(POLL)
-    return _known(folder)
+    return known_run(folder)
 
 
 def _follow_running(known: "Known") -> None:
@@ -200,12 +200,12 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
     pairs = [(paths[0], targets[0]), (paths[-1], targets[-1])]
     every = [name for path in paths for name in transfer_config(path)["targets"]]
     merged = tuple(dict.fromkeys(every))
-    known = {path: _known(path, merged) for path in paths}
+    known = {path: known_run(path, merged) for path in paths}
     labels = [name if len(paths) == 1 else f"{path.name}: {name}" for path, name in pairs]
     return [(label, known[path], name) for label, (path, name) in zip(labels, pairs, strict=True)]
 
 
-def _known(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
+def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     """A run folder with everything needed to play it again."""
     from tasks.pick import ACTION, OBSERVATION
     from toolkit.expert import POLICY_FILE, entry_names, load_expert
@@ -258,7 +258,7 @@ def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, 
         out: folder of the page; default: RUN/page.
         json: print the page's path and its pictures as one JSON object.
     """
-    known = _known(run)
+    known = known_run(run)
     from toolkit.report.page import write_report
 
     with Progress("report", quiet=json) as progress:

@@ -20,7 +20,7 @@ from tasks.pick import (
 )
 from toolkit.errors import ToolkitError
 from toolkit.morphology.arithmetic import bones, directions, finger_tips, principal, quaternion, turned
-from toolkit.morphology.grasp import GraspLaw
+from toolkit.morphology.grasp import GraspLaw, linear_targets
 from toolkit.morphology.patch import Patch
 from toolkit.morphology.space import (
     FREEZE_DECADES,
@@ -104,7 +104,8 @@ class MergedRobot:
         self._bone_radius = np.where(np.arange(len(slots)) < self._arm, BONE_RADIUS["arm"], BONE_RADIUS["finger"])
         self.law: GraspLaw | None = None
         self.template = self.compile(space.betas[0])
-        self.law = GraspLaw(space, self.driven, self.write, self.become, *self.new())
+        self.law = GraspLaw(space, self.driven, self.write, *self.new())
+        self.template = self.compile(space.betas[0])
 
     def _holds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Spring, damping and armature of each slot when frozen, and the e-folds over which they grow: (n_slots,) each."""
@@ -167,8 +168,7 @@ class MergedRobot:
             armature=theta["armature"][:, 0] * (1 - freeze) + locked * lock_armature,
             friction_loss=theta["friction_loss"][:, 0],
             gain=theta["stiffness"][self.driven, 0],
-            force_limit=np.maximum(theta["force_limit"][self.driven, 0], 1e-9),
-            target=theta["target"][self.driven],
+            start_target=theta["start_target"][self.driven, 0],
             preshape=float(theta["preshape"][0, 0]),
             shape_pos=theta["shape_position"] - anchors[self._shape_slot],
             shape_quat=turned(theta["shape_rotation"], self._shape_reference),
@@ -284,9 +284,9 @@ class MergedRobot:
             actuator = spec.add_actuator(name=slots[i].name, target=slots[i].name, ctrllimited=True, ctrlrange=[-limit, limit])
             actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         for k, i in enumerate(self.driven):
-            gain, limit = p.gain[k], p.force_limit[k]
-            actuator = spec.add_actuator(
-                name=slots[i].name, target=slots[i].name, forcelimited=True, forcerange=[-limit, limit],
+            gain = p.gain[k]
+            actuator = spec.add_actuator(  # how strong it is, the grasp law says
+                name=slots[i].name, target=slots[i].name, forcelimited=True, forcerange=[-1.0, 1.0],
                 biastype=mujoco.mjtBias.mjBIAS_AFFINE,
             )  # fmt: skip
             actuator.gainprm[0], actuator.biasprm[1] = gain, -gain
@@ -427,19 +427,15 @@ class MergedRobot:
 
     def _set_motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """Strengths of the finger actuators into ``model``; returns their targets (n_driven, 2), open and closed."""
-        closed, limit = p.target[:, 1], p.force_limit
-        if self.law is not None:
-            motors = self.law.motors(alpha, p, model, data)
-            closed, limit = motors.closed, motors.limit
-            model.actuator_gainprm[self._finger_actuator, 0] = motors.stiffness
-            model.actuator_biasprm[self._finger_actuator, 1] = -motors.stiffness
-            model.dof_damping[self._finger_dofs] = p.damping[self.driven] + motors.damping
-            model.jnt_range[self._finger_joints] = motors.range
-        model.actuator_forcerange[self._finger_actuator] = limit[:, None] * BOTH_WAYS
-        # The targets are linear in the command, through the start posture's at the preshape.
-        still = p.target[:, 0]
-        opened = still - (closed - still) * (1.0 + p.preshape) / (1.0 - p.preshape)
-        return np.stack([opened, closed], axis=1)
+        if self.law is None:  # being measured on, for the law that it will have
+            return np.stack([p.start_target, p.start_target], axis=1)
+        motors = self.law.motors(alpha, p, model, data)
+        model.actuator_gainprm[self._finger_actuator, 0] = motors.stiffness
+        model.actuator_biasprm[self._finger_actuator, 1] = -motors.stiffness
+        model.actuator_forcerange[self._finger_actuator] = motors.limit[:, None] * BOTH_WAYS
+        model.dof_damping[self._finger_dofs] = p.damping[self.driven] + motors.damping
+        model.jnt_range[self._finger_joints] = motors.range
+        return linear_targets(p.start_target, motors.closed, p.preshape)
 
     def write(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Patch:
         """All of F(alpha) but the strengths of the finger actuators, in place; returns what was written."""

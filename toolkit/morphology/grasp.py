@@ -49,6 +49,8 @@ HEADROOM = 1.5
 """Share of the torque on the box that a joint's motor can give, at least, where it does not stall."""
 TOUCH = 0.05
 """Pressure [N] from which a finger counts as touching the box."""
+FEEBLE = 1e-9
+"""Torque limit [N m] of an actuator that a robot lacks: MuJoCo refuses none."""
 WEAKEST = 1e-9
 """Stiffness [N m/rad] of an actuator below which it does nothing."""
 
@@ -88,7 +90,12 @@ class Motors:
 
 
 Write = Callable[[np.ndarray, mujoco.MjModel, mujoco.MjData], Patch]
-Become = Callable[[np.ndarray, mujoco.MjModel, mujoco.MjData], np.ndarray]
+
+
+def linear_targets(start: np.ndarray, closed: np.ndarray, preshape: float) -> np.ndarray:
+    """Position targets (n, 2) at the closing commands -1 and +1: linear in the command, ``start`` (n,) at the preshape."""
+    opened = start - (closed - start) * (1.0 + preshape) / (1.0 - preshape)
+    return np.stack([opened, closed], axis=1)
 
 
 class GraspLaw:
@@ -97,12 +104,12 @@ class GraspLaw:
     Args:
         space: the evolution space.
         driven: slots whose joints have actuators, as the merged robot orders them.
-        write, become: F without and with the strengths of the actuators; as long as it has no law, these are interpolated.
+        write: F without the strengths of the actuators, in place.
         model, data: a merged robot to measure on.
     """
 
     def __init__(
-        self, space: EvolutionSpace, driven: Sequence[int], write: Write, become: Become, model: mujoco.MjModel, data: mujoco.MjData
+        self, space: EvolutionSpace, driven: Sequence[int], write: Write, model: mujoco.MjModel, data: mujoco.MjData
     ) -> None:
         self._space = space
         slots = space.matching.slots
@@ -131,7 +138,10 @@ class GraspLaw:
         self._tip_bodies = np.array([model.body(slots[i].name).id for i in self._tips])
         self._chains()
         self._constraints(model)
-        self.grasps = [self._measured(become, beta, model, data) for beta in space.betas]
+        joints = [[system.joints[i] for i in self.driven] for system in space.matching.systems]
+        self._own_closed = np.array([[0.0 if joint is None else joint.target_closed for joint in row] for row in joints])
+        self._own_limit = np.array([[0.0 if joint is None else joint.force_limit for joint in row] for row in joints])
+        self.grasps = [self._measured(robot, write, model, data) for robot in range(len(space.betas))]
         self._presses = np.max([grasp.force for grasp in self.grasps], axis=0) > 0
         self._fit(write, model, data)
 
@@ -182,15 +192,15 @@ class GraspLaw:
 
     # ---- the robots' own grasps --------------------------------------------------------------------------------
 
-    def _measured(self, become: Become, beta: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Grasp:
-        """A robot closed on the box, as ``parity.squeeze`` closes it."""
-        slots = self._space.matching.slots
-        targets = become(beta, model, data)
-        preshape = float(self._space.theta(beta)["preshape"][0, 0])
-        arm = [model.joint(slot.name).id for slot in slots[: self._arm]]
+    def _measured(self, robot: int, write: Write, model: mujoco.MjModel, data: mujoco.MjData) -> Grasp:
+        """What a robot's own motors do on the box."""
+        slots, beta = self._space.matching.slots, self._space.betas[robot]
+        p = write(beta, model, data)
         actuators = [model.actuator(slots[i].name).id for i in self.driven]
-        item = model.body("object").id
-        bench, data = closed_on_box(model, model.qpos0, arm, item, actuators, targets, preshape)
+        model.actuator_forcerange[actuators] = np.maximum(self._own_limit[robot], FEEBLE)[:, None] * (-1.0, 1.0)
+        arm = [model.joint(slot.name).id for slot in slots[: self._arm]]
+        targets, item = linear_targets(p.start_target, self._own_closed[robot], p.preshape), model.body("object").id
+        bench, data = closed_on_box(model, model.qpos0, arm, item, actuators, targets, p.preshape)
         force, moment = np.zeros(len(self.fingers)), np.zeros((len(self.fingers), 3))
         angles, samples = np.zeros(len(slots)), int(round(SETTLED / bench.opt.timestep))
         qpos = bench.jnt_qposadr[[bench.joint(slot.name).id for slot in slots]]
@@ -198,7 +208,7 @@ class GraspLaw:
             mujoco.mj_step(bench, data)
             self._add_contacts(bench, data, item, force, moment)
             angles += data.qpos[qpos] / samples
-        tips = self._space.theta(beta)["anchor"][self._tips]
+        tips = p.anchor[self._tips]
         turns = data.xmat[self._tip_bodies].reshape(-1, 3, 3)
         away = moment / np.maximum(force, 1e-12)[:, None] - data.xpos[self._tip_bodies]
         touched = force > TOUCH * samples
@@ -235,13 +245,12 @@ class GraspLaw:
         required = np.zeros((robots, count))
         gaps, heights = np.zeros((2, robots, len(self.fingers)))
         for robot, beta in enumerate(space.betas):
-            theta = space.theta(beta)
-            stiffness, limit = (theta[name][self.driven, 0] for name in ("stiffness", "force_limit"))
             p = write(beta, model, data)
             angles[robot] *= 1.0 - p.freeze[self.driven]  # what sags in a frozen joint is no posture
             needed = self._needed(model, data, p, angles[robot], force[robot], point[robot])
             gaps[robot], heights[robot] = self._gaps_and_heights(p, angles[robot])
-            wanted = stiffness * (theta["target"][self.driven, 1] - angles[robot])
+            stiffness, limit = p.gain, self._own_limit[robot]
+            wanted = stiffness * (self._own_closed[robot] - angles[robot])
             own = np.clip(wanted, -limit, limit)
             beyond = np.where(self._main & (stiffness > WEAKEST), wanted - own, 0.0)
             slack = np.where(self._main, limit - own, 0.0)
@@ -253,6 +262,7 @@ class GraspLaw:
             ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
             ("point", point.reshape(robots, -1), np.repeat(each, 3)),
             *((name, rows[:, k], self._finger_of) for k, name in enumerate(("error", "beyond", "slack", "both"))),
+            ("limit", self._own_limit, self._finger_of),
         ]  # fmt: skip
         values = np.concatenate([block for _, block, _ in blocks], axis=1)
         owners = np.concatenate([owner for _, _, owner in blocks])
@@ -323,7 +333,7 @@ class GraspLaw:
             model, data: patched; the configuration in ``data`` is overwritten.
         """
         value = np.clip(alpha @ self._slope + self._offset, self._low, self._high)
-        angles, force, gap, height, point, error, beyond, slack, both = (value[cut] for cut in self._cuts.values())
+        angles, force, gap, height, point, error, beyond, slack, both, most = (value[cut] for cut in self._cuts.values())
         gap = gap - np.maximum(gap, 0.0) * np.clip(force / PRESSING, 0.0, 1.0)
         angles = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height)
         torque = self._needed(model, data, p, angles, force, point.reshape(-1, 3)) + error
@@ -341,8 +351,8 @@ class GraspLaw:
         own, past = p.limits[self.driven], np.stack([angles - LEEWAY, angles + LEEWAY], axis=1)
         wide = np.stack([np.minimum(own[:, 0], past[:, 0]), np.maximum(own[:, 1], past[:, 1])], axis=1)
         return Motors(
-            closed=np.where(stiffness > WEAKEST, closed, p.target[:, 1]),
-            limit=np.where(self._main, np.abs(torque) + slack, np.maximum(p.force_limit, HEADROOM * np.abs(torque))),
+            closed=np.where(stiffness > WEAKEST, closed, p.start_target),
+            limit=np.maximum(np.where(self._main, np.abs(torque) + slack, np.maximum(most, HEADROOM * np.abs(torque))), FEEBLE),
             stiffness=stiffness,
             damping=np.where(self._main, 0.0, DAMPING * away),
             range=own + np.minimum(1.0, away / LEAVING)[:, None] * (wide - own),

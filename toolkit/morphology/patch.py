@@ -30,8 +30,7 @@ class Patch:
     armature: np.ndarray
     friction_loss: np.ndarray
     gain: np.ndarray
-    force_limit: np.ndarray
-    target: np.ndarray
+    start_target: np.ndarray
     preshape: float
     shape_pos: np.ndarray
     shape_quat: np.ndarray

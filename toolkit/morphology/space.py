@@ -34,7 +34,7 @@ FROZEN_WIDE_DECADES = 10.0
 """FREEZE_DECADES of slides and arm joints, so that they begin to stiffen where finger joints do."""
 SLIDE_UNITS = {
     "limits": "m", "damping": "N s/m", "armature": "kg", "friction_loss": "N", "limit_margin": "m", "stiffness": "N/m",
-    "force_limit": "N", "target": "m",
+    "start_target": "m",
 }  # fmt: skip
 """Units of a joint's fields where the joint is a slide."""
 HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
@@ -347,15 +347,14 @@ class EvolutionSpace:
                        absent=[0.0]),  # fmt: skip
             slot_field("spring_rest", "rad", ("",), lambda j, i: j.spring_rest),
             slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
-            slot_field("force_limit", "N m", ("",), lambda j, i: j.force_limit),
             self._targets(),
         ]
 
     def _targets(self) -> Field:
-        """Targets at the start's closing command, where every gripper rests, and closed.
+        """Targets at the start's closing command, where every gripper rests.
 
         The target at the command -1 would belong to the preshape: a tree may take one from one robot, the other from another,
-        and their gripper would move before it is told to.
+        and their gripper would move before it is told to. What the motors do closed is derived (``GraspLaw``).
         """
         slots, systems = self.matching.slots, self.matching.systems
         rows = []
@@ -363,11 +362,10 @@ class EvolutionSpace:
             owned: list[np.ndarray | None] = []
             for system in systems:
                 joint, share = system.joints[index], 0.5 * (system.robot.gripper.preshape + 1.0)
-                owned.append(None if joint is None else np.array(
-                    [(1.0 - share) * joint.target_open + share * joint.target_closed, joint.target_closed]))  # fmt: skip
-            rows.append(np.zeros((len(systems), 2)) if all(row is None for row in owned) else _borrowed(owned))
+                owned.append(None if joint is None else np.array([(1.0 - share) * joint.target_open + share * joint.target_closed]))
+            rows.append(np.zeros((len(systems), 1)) if all(row is None for row in owned) else _borrowed(owned))
         elements = tuple(slot.element for slot in slots)
-        return Field("target", tuple(s.name for s in slots), elements, ("start", "closed"), "rad", np.stack(rows, axis=1))
+        return Field("start_target", tuple(s.name for s in slots), elements, ("",), "rad", np.stack(rows, axis=1))
 
     def _item_field(self, name: str, unit: str, components: Sequence[str], items: Sequence, get: Callable,
                     absent: float | tuple[float, ...] | None = None) -> Field:  # fmt: skip
