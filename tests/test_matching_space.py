@@ -161,10 +161,10 @@ def test_theta_at_beta_is_what_the_matching_read(space, name):
             continue
         preshape = system.robot.gripper.preshape
         start_target = joint.target_open + 0.5 * (preshape + 1.0) * (joint.target_closed - joint.target_open)
-        got = {key: theta[key][row] for key in ("anchor", "com", "mass", "limits", "damping", "armature", "target")}
+        got = {key: theta[key][row] for key in ("anchor", "com", "mass", "limits", "damping", "armature", "start_target")}
         wanted = {
             "anchor": joint.screw.anchor, "com": joint.screw.com, "mass": joint.screw.mass, "limits": joint.limits,
-            "damping": joint.damping, "armature": joint.armature, "target": (start_target, joint.target_closed),
+            "damping": joint.damping, "armature": joint.armature, "start_target": start_target,
         }  # fmt: skip
         for key, value in wanted.items():
             np.testing.assert_allclose(

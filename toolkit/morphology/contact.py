@@ -153,15 +153,18 @@ def meet(
     guess: np.ndarray, free: np.ndarray, chain: np.ndarray, anchors: np.ndarray, axes: np.ndarray, sliding: np.ndarray,
     mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
     active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
-    pitching: np.ndarray, gap: float, height: float,
-) -> np.ndarray:  # fmt: skip
-    """Angles (n,) of one finger's joints near a guess: its gap and the height of its nearest point as asked, its pad pitched as guessed.
+    pitching: np.ndarray, gap: float, height: float, minding: float,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """One finger near a guess: its gap and the height of its nearest point as asked, its pad pitched as guessed.
 
     Args:
         guess: (n_all,) [rad, m].  free: (n_all,) 1 for a joint, 0 for one that is frozen.
         sideways: (3,) the axis about which a pad pitches.  pitching: (n_all,) bool, joints that turn the pad.
-        gap: [m] to the box.  height: [m], world, of where it is nearest.
+        gap: [m] to the box.  height: [m], world, of where it is nearest.  minding: share of the weight that this height has.
         others: as for ``place`` and ``gap_of``.
+
+    Returns:
+        angles (n,) of its joints; where it is nearest (3,), on its last link, at the start posture.
     """
     count = len(chain)
     angles, change = guess.copy(), np.zeros(count)
@@ -181,13 +184,13 @@ def meet(
             if k <= touching and miss < FAR:
                 along = now[k] if slide else np.cross(now[k], where - at[k])
                 lower[0, k] = -GAP * (along @ push) / scale[k]
-                lower[1, k] = HEIGHT * (along @ up) / scale[k]
+                lower[1, k] = minding * HEIGHT * (along @ up) / scale[k]
             lower[2, k] = PITCH * (now[k] @ sideways) if pitching[chain[k]] else 0.0
             lower[3 + k, k] = weight[k]
             upper[2] += lower[2, k] * change[k]
             upper[3 + k] = weight[k] * change[k]
         if miss < FAR:
-            upper[0], upper[1] = GAP * (miss - gap), HEIGHT * (where[2] - height)
+            upper[0], upper[1] = GAP * (miss - gap), minding * HEIGHT * (where[2] - height)
         step = np.linalg.solve(lower.T @ lower, -(lower.T @ upper))
         largest = 0.0
         for k in range(count):
@@ -196,7 +199,6 @@ def meet(
             angles[chain[k]] = guess[chain[k]] + change[k] / scale[k]
         if largest < ENOUGH:
             break
-    out = np.empty(count)
-    for k in range(count):
-        out[k] = angles[chain[k]]
-    return out
+    turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
+    miss, touching, where = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
+    return angles[chain], turns[count - 1].T @ (where - shifts[count - 1])

@@ -166,29 +166,40 @@ class GraspLaw:
             mujoco.mju_quat2Mat(row, quat)
         return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_contact[self._carrying] > 0
 
-    def _gaps_and_heights(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (n_fingers,) [m] of the fingers from the box, and heights [m] of where they are nearest."""
-        out = np.empty((2, len(self.fingers)))
+    def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (n_fingers,) [m] of the fingers from the box, and where they are nearest (n_fingers, 3), on their last links."""
+        gaps, points = np.empty(len(self.fingers)), np.empty((len(self.fingers), 3))
         solids = self._solids(p)
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
-            out[0, f], _, where = gap_of(
+            gaps[f], _, where = gap_of(
                 turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)  # fmt: skip
-            out[1, f] = where[2]
-        return out[0], out[1]
+            points[f] = turns[-1].T @ (where - shifts[-1])
+        return gaps, points
 
-    def _meeting(self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, and as high, as asked."""
-        out, solids = angles.copy(), self._solids(p)
+    def _height(self, p: Patch, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Heights (n_fingers,) [m], world, of points (n_fingers, 3) on the last links."""
+        out = np.empty(len(self.fingers))
+        for f, chain in enumerate(self._chain):
+            turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
+            out[f] = (turns[-1] @ points[f] + shifts[-1])[2]
+        return out
+
+    def _meeting(
+        self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, and as high, as asked; and where
+        they are nearest (n_fingers, 3), on their last links."""
+        out, points, solids = angles.copy(), p.anchor[self._tips], self._solids(p)
         free = 1.0 - p.freeze[self.driven]
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
-            out[chain] = meet(
+            out[chain], points[f] = meet(
                 angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
-                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, gap[f], height[f],
+                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, gap[f], height[f], minding[f],
             )  # fmt: skip
-        return out
+        return out, points
 
     # ---- the robots' own grasps --------------------------------------------------------------------------------
 
@@ -242,25 +253,32 @@ class GraspLaw:
         force = np.array([grasp.force for grasp in self.grasps])
         point = np.array([grasp.point for grasp in self.grasps])
         rows = np.zeros((robots, 4, count))
-        required = np.zeros((robots, count))
+        required, off = np.zeros((robots, count)), np.zeros((robots, len(self.fingers), 3))
         gaps, heights = np.zeros((2, robots, len(self.fingers)))
         for robot, beta in enumerate(space.betas):
             p = write(beta, model, data)
             angles[robot] *= 1.0 - p.freeze[self.driven]  # what sags in a frozen joint is no posture
-            needed = self._needed(model, data, p, angles[robot], force[robot], point[robot])
-            gaps[robot], heights[robot] = self._gaps_and_heights(p, angles[robot])
+            gaps[robot], nearest = self._nearest(p, angles[robot])
+            nearest = np.where(self._presses[:, None], nearest, p.anchor[self._tips])
+            heights[robot] = self._height(p, angles[robot], nearest)
+            off[robot] = (point[robot] - nearest) * (force[robot] > 0)[:, None]
             stiffness, limit = p.gain, self._own_limit[robot]
             wanted = stiffness * (self._own_closed[robot] - angles[robot])
             own = np.clip(wanted, -limit, limit)
             beyond = np.where(self._main & (stiffness > WEAKEST), wanted - own, 0.0)
             slack = np.where(self._main, limit - own, 0.0)
+            needed = self._needed(model, data, p, angles[robot], force[robot], nearest + off[robot])
             required[robot] = needed
             rows[robot] = own - needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
         each = np.arange(len(self.fingers))
+        # A finger's height is told by the robots whose finger presses; the others' is nobody's concern.
+        pressing = force > 0
+        known = np.where(pressing.any(axis=0), (heights * pressing).sum(axis=0) / np.maximum(pressing.sum(axis=0), 1), heights.mean(axis=0))
+        heights = np.where(pressing, heights, known)
         self._strongest = np.maximum(np.abs(rows[:, 0] + required).max(axis=0), STRONGEST)
         blocks = [
             ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
-            ("point", point.reshape(robots, -1), np.repeat(each, 3)),
+            ("off", off.reshape(robots, -1), np.repeat(each, 3)),
             *((name, rows[:, k], self._finger_of) for k, name in enumerate(("error", "beyond", "slack", "both"))),
             ("limit", self._own_limit, self._finger_of),
         ]  # fmt: skip
@@ -333,10 +351,11 @@ class GraspLaw:
             model, data: patched; the configuration in ``data`` is overwritten.
         """
         value = np.clip(alpha @ self._slope + self._offset, self._low, self._high)
-        angles, force, gap, height, point, error, beyond, slack, both, most = (value[cut] for cut in self._cuts.values())
+        angles, force, gap, height, off, error, beyond, slack, both, most = (value[cut] for cut in self._cuts.values())
         gap = gap - np.maximum(gap, 0.0) * np.clip(force / PRESSING, 0.0, 1.0)
-        angles = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height)
-        torque = self._needed(model, data, p, angles, force, point.reshape(-1, 3)) + error
+        minding = np.clip(force / PRESSING, 0.0, 1.0)
+        angles, nearest = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding)
+        torque = self._needed(model, data, p, angles, force, nearest + off.reshape(-1, 3)) + error
         torque = np.clip(torque, -self._strongest, self._strongest)
         apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
