@@ -17,7 +17,7 @@ from toolkit.phases import ROLES, load_phases
 from toolkit.pipeline import Job, Pipeline
 from toolkit.recording.viewer import reader_of
 from toolkit.runs import Run
-from toolkit.transfer import TransferConfig
+from toolkit.settings import TransferConfig
 
 TARGET = "kinova3"
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}

@@ -21,7 +21,8 @@ from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs import Run
-from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS, Transfer, TransferConfig
+from toolkit.settings import CHECKING_SEEDS, TRAINING_SEEDS, TransferConfig
+from toolkit.transfer import Transfer
 
 SOURCE = Terminal("hand", np.zeros(3))
 TARGETS = [Terminal("left", np.array([0.8, 0.6, 0.2])), Terminal("right", np.array([0.8, 0.2, 0.9]))]
@@ -71,7 +72,8 @@ class Toy:
         if self.kill_after is not None and len(self.calls) >= self.kill_after:
             raise Killed
         branch = self.transfer.pending[-1]
-        noisy = len({float(actor(OBSERVATION, np.random.default_rng(i))[0]) for i in range(3)}) > 1
+        actors = actor if isinstance(actor, list) else [actor] * len(seeds)
+        noisy = len({float(actors[0](OBSERVATION, np.random.default_rng(i))[0]) for i in range(3)}) > 1
         state = {
             "path": branch.path, "alpha": branch.alpha, "next": branch.next_alpha, "window": branch.window,
             "stage": branch.stage, "training": max(seeds) < TRAINING_SEEDS, "noisy": noisy,
@@ -79,7 +81,7 @@ class Toy:
         }  # fmt: skip
         self.calls.append(state)
         self.episodes += len(seeds)
-        return [self.one(actor, alpha, seed) for alpha, seed in zip(alphas, seeds, strict=True)]
+        return [self.one(*job) for job in zip(actors, alphas, seeds, strict=True)]
 
     def one(self, actor, alpha, seed):
         action = actor(OBSERVATION, np.random.default_rng((seed, 1)))
@@ -247,14 +249,14 @@ def test_calming_and_rousing_scale_the_noise_and_nothing_else(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(calm=0.5, least_noise=0.25), Toy())
     (branch,) = transfer.pending
     first, mean = branch.policy.log_std, branch.policy.mean(OBSERVATION)
-    assert not transfer.rouse(branch), "the first noise is the most"
+    assert not transfer.weights.rouse(branch), "the first noise is the most"
     shares = []
-    while transfer.calm(branch):
+    while transfer.weights.calm(branch):
         shares.append(branch.noise)
         np.testing.assert_allclose(branch.policy.log_std, first + np.log(branch.noise), rtol=0, atol=1e-12)
     assert shares == [0.5, 0.25], "not halved down to a quarter"
     shares = []
-    while transfer.rouse(branch):
+    while transfer.weights.rouse(branch):
         shares.append(branch.noise)
     assert shares == [0.5, 1.0]
     np.testing.assert_allclose(branch.policy.log_std, first, rtol=0, atol=1e-12)
@@ -293,7 +295,8 @@ def test_a_measurement_stops_early_without_changing_its_outcome(tmp_path):
         rate = np.mean([error < tolerance(CHECKING_SEEDS + i) for i in range(24)])
         for needed in (0.5, 2 / 3, 0.85, 1.0):
             before = toy.episodes
-            assert (transfer.success(branch, toy, alpha, needed, 24) >= needed) is bool(rate >= needed - 1e-9), (error, rate, needed)
+            measured = transfer.sampler.success(branch, toy, alpha, needed, 24)
+            assert (measured >= needed) is bool(rate >= needed - 1e-9), (error, rate, needed)
             saved += 24 - (toy.episodes - before)
     assert transfer.costs["path 1"].check_episodes == toy.episodes
     assert saved > 0, "no measurement stopped early"
@@ -717,7 +720,7 @@ def test_a_finished_run_resumes_to_its_own_end(tmp_path):
     again = transfer_of(tmp_path / "run", config(), toy, resume=True)
     again.meta_evolve()
     assert_same_end(again, finished)
-    assert again.seconds >= finished._earlier_seconds
+    assert again.sampler.seconds >= finished.sampler.earlier_seconds
 
 
 def test_another_seed_is_another_run(tmp_path, unbroken):

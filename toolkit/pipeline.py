@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from robots.robot import Robot
-from tasks.pick import PickTask
+from tasks.pick import EXPLORED_DEVIATION, PickTask
+from toolkit.branch import Branch
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
@@ -22,16 +23,17 @@ from toolkit.phases import Witness
 from toolkit.recording.story import SHARE, Story
 from toolkit.recording.stream import Stream
 from toolkit.runs import Run
+from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
-from toolkit.transfer import Branch, Method, Transfer, TransferConfig
+from toolkit.transfer import Transfer
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
-    "quick": {"transfer": {"path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
+    "quick": {"transfer": {"learner": "search", "path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
-    "full": {"transfer": {"path_budget": 15_000}, "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
+    "full": {"transfer": {"learner": "search", "path_budget": 15_000}, "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
              "evaluation_episodes": 200},
     # Every number from the paper's table.
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
@@ -90,6 +92,8 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
         raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
     values = PRESETS[preset]["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
     values |= {name: value for name, value in overrides.items() if value is not None}
+    if values.get("step") == "fixed" and overrides.get("learner") is None:
+        values["learner"] = "npg"  # the search goes with adaptive steps
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 
@@ -143,7 +147,8 @@ class Pipeline:
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
-        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw)
+        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
+                                 EXPLORED_DEVIATION)  # fmt: skip
         if resume:
             self.transfer.restore()
         self.run.write_json("tree", self.tree.to_json())
@@ -172,9 +177,9 @@ class Pipeline:
 
     # ---- what is seen on the way -------------------------------------------------------------------------------
 
-    def _saw(self, branch: Branch, episodes: list[Episode], noise: bool) -> None:
+    def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
         """Remember the episodes worth seeing."""
-        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, branch.policy, episodes, noise, branch.updates)
+        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise, branch.updates)
 
     def _seen(self, record: dict[str, Any], branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
@@ -211,8 +216,8 @@ class Pipeline:
             "diverged": {path: cost.diverged for path, cost in costs.items()},
             "routes": self.transfer.routes,
             "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
-            "wall_s": self.transfer.seconds,
-            "time": self.transfer.spent | {"outside_playing": outside_playing(self.transfer.spent)},
+            "wall_s": self.transfer.sampler.seconds,
+            "time": self.transfer.sampler.spent | {"outside_playing": outside_playing(self.transfer.sampler.spent)},
             "seed": self.job.transfer.seed,
             "kind": self.job.transfer.kind,
             "metric": self.job.transfer.metric,

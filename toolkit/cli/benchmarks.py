@@ -32,13 +32,14 @@ class Entry:
     episodes: int = 20
     expert: str | None = None
     exploration: float | None = None
+    learner: Literal["search", "npg"] | None = None
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
         from toolkit.pipeline import Job, transfer_config
 
         overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
-                     "exploration": self.exploration}
+                     "learner": self.learner, "exploration": self.exploration}
         config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)
         return Job(find_robot("adroit"), robots, find_task(self.task), config, self.episodes, self.expert)
