@@ -103,7 +103,7 @@ def test_the_report_keeps_its_contract(played):
 def test_the_report_counts_what_was_watched(played):
     folder, report, watched = played
     updates = sum(record["event"] == "update" for record in watched)
-    checked = sum(record["checked"] for record in watched if record["event"] in ("check", "explore"))
+    checked = sum(record["checked"] for record in watched if record["event"] in ("check", "look", "explore"))
     batch = CONFIG.npg.batch_size
     assert report["train_iterations"] == {"path 1": updates} and report["totals"]["train_iterations"] == updates
     assert report["sim_epochs"] == {"path 1": updates * batch} and report["totals"]["sim_epochs"] <= CONFIG.path_budget

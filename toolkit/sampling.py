@@ -92,12 +92,12 @@ class Sampler:
 
     def success(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False,
-        hasty: bool = False,
+        hasty: bool = False, look: bool = False,
     ) -> float:  # fmt: skip
         """Success rate of the policy on the robot ``alpha`` (D,), stopped as soon as it is sure to be at least ``wanted`` or below.
 
-        Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` look also ends after its first episodes where these
-        promise little: most robots that are looked at fail, and a robot missed is looked at again after the next update.
+        Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` one also ends after its first episodes where these
+        promise little; so does a ``look`` at a robot that nothing trains for: most of those fail, and what is missed is looked at again.
 
         Returns:
             the share of successes among the episodes played; at least ``wanted`` exactly if the policy has it.
@@ -112,13 +112,13 @@ class Sampler:
             successes += sum(episode.success for episode in batch)
             self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
             self.witness(branch, batch, exploring, [branch.policy] * size)
-            if hasty and successes < DOUBT * wanted * played:
+            if (hasty or look) and successes < DOUBT * wanted * played:
                 break
         self.costs[branch.path].check_episodes += played
         reach = float(np.linalg.norm(alpha - branch.alpha))
         held = successes >= needed
-        self.say("explore" if exploring else "check", branch, success=successes / played, checked=played, reach=reach, held=held,
-                 noise=branch.noise)  # fmt: skip
+        event = "explore" if exploring else "look" if look else "check"
+        self.say(event, branch, success=successes / played, checked=played, reach=reach, held=held, noise=branch.noise)
         return successes / played
 
     # ---- telling -----------------------------------------------------------------------------------------------

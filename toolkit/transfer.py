@@ -248,7 +248,7 @@ class Transfer:
     ) -> bool:
         """Whether the policy has the success on the robot (D,) that moving on there takes, at a look."""
         wanted, episodes = wanted or self.config.threshold, episodes or self.config.check_episodes
-        if self.sampler.success(branch, player, robot, wanted, episodes, hasty=True) < wanted:
+        if self.sampler.success(branch, player, robot, wanted, episodes, look=True) < wanted:
             return False
         enough = self.config.noisy_threshold
         return not self.asks_noise(branch, robot) or (
