@@ -18,6 +18,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs import Run
@@ -31,6 +32,7 @@ WEIGHTS = np.array([1.0, 1.0, -0.7])
 TOLERANCE = 0.15
 OBSERVATION = np.ones(1)
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
+DEVIATION = np.array([0.2])
 NPG = NpgConfig(step_size=0.1, min_log_std=-2.6, cg_iterations=4, value_epochs=2)
 
 
@@ -113,16 +115,25 @@ def expert():
     return policy, value
 
 
+def seeing_expert():
+    """As `expert`, but nearly linear in what it sees: an offset of its one observation moves its action by as much."""
+    policy, value = expert()
+    policy.set_parameters(np.concatenate([np.full(8, 0.1), np.zeros(8), np.full(8, 10 / 8), [0.0], policy.log_std]))
+    policy.set_normalisation(policy.mean(OBSERVATION) - wanted(SOURCE.alpha), np.ones(1))
+    return policy, value
+
+
 def config(**changes):
     return TransferConfig(**{"npg": NPG, "check_episodes": 12, "goal_episodes": 12, "xi": 0.08, "native": False} | changes)
 
 
-def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None):
+def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
-    quiet = lambda record, branch: None  # noqa: E731
-    transfer = Transfer(settings, SOURCE, list(targets), *expert(), player, native, run, report or quiet)
+    quiet = lambda *seen: None  # noqa: E731
+    learner = expert() if settings.learner == "npg" else seeing_expert()
+    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, DEVIATION)
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
     if resume:
@@ -739,6 +750,207 @@ def test_another_seed_is_another_run(tmp_path, unbroken):
     transfer = transfer_of(tmp_path / "run", other, Toy(), native=natives())
     transfer.meta_evolve()
     assert timeless(transfer) != timeless(unbroken[0])
+
+
+# -- the search ----------------------------------------------------------------------------------------------
+
+SEARCH = config(learner="search", native=True, path_budget=3_000)
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """(transfer, engine, native robots, policies that played each training batch) of a whole run of the search."""
+    toy, others, played = Toy(), natives(), []
+
+    def witness(branch, episodes, noise, policies):
+        if max(episode.seed for episode in episodes) < TRAINING_SEEDS:
+            played.append((branch.policy.copy(), policies, episodes, noise))
+
+    transfer = transfer_of(tmp_path_factory.mktemp("search") / "run", SEARCH, toy, native=others, witness=witness)
+    transfer.meta_evolve()
+    return transfer, toy, others, played
+
+
+def test_the_search_reaches_every_target_by_what_the_policy_sees(searched):
+    """The native robots want something else again; weights are touched only where the search has had its turn."""
+    transfer, _, _, _ = searched
+    for target, shift in zip(TARGETS, (0.2, -0.2), strict=True):
+        error = abs(float(transfer.arrived[target.name].mean(OBSERVATION)[0]) - wanted(target.alpha) - shift)
+        assert error < TOLERANCE, f"{target.name} is off by {error:.2f}"
+    updates = records(transfer, "update")
+    assert {r["learner"] for r in updates} == {"search"} and not records(transfer, "budget")
+    for policy in transfer.arrived.values():
+        np.testing.assert_array_equal(policy.parameters, seeing_expert()[0].parameters)
+        assert abs(float(policy.layers().shift[0]) - float(seeing_expert()[0].layers().shift[0])) > TOLERANCE
+
+
+def test_the_searchs_episodes_are_counted_to_the_last(searched):
+    transfer, toy, others, played = searched
+    calls = [*toy.calls, *itertools.chain(*(other.calls for other in others.values()))]
+    for path, cost in transfer.costs.items():
+        mine = [call for call in calls if call["path"] == path]
+        assert cost.sim_epochs == sum(len(call["seeds"]) for call in mine if call["training"]), path
+        assert cost.check_episodes == sum(len(call["seeds"]) for call in mine if not call["training"]), path
+    total = sum(cost.sim_epochs for cost in transfer.costs.values())
+    assert total == sum(len(episodes) for _, _, episodes, _ in played) > 0
+    learned = [r for r in records(transfer, "update") if r["learned"]]
+    assert sum(cost.train_iterations for cost in transfer.costs.values()) == len(learned) > 0
+
+
+def test_an_offset_is_held_for_an_episode_and_mirrored_on_the_same_start(searched):
+    """No noise on the actions; each pair of policies is the branch's, moved by as much to either side, and plays one seed."""
+    _, toy, _, played = searched
+    assert not any(call["noisy"] for call in toy.calls)
+    for policy, policies, episodes, noise in played:
+        assert not noise and [e.seed for e in episodes[0::2]] == [e.seed for e in episodes[1::2]]
+        offsets = np.array([p.layers().shift - policy.layers().shift for p in policies])
+        np.testing.assert_allclose(offsets[0::2], -offsets[1::2], rtol=0, atol=1e-12)
+        assert (np.abs(offsets) > 0).all()
+        for own, episode in zip(policies, episodes, strict=True):
+            np.testing.assert_array_equal(episode.actions[0], own.mean(OBSERVATION))
+
+
+def test_a_first_batch_without_success_ends_after_its_first_part_and_the_step_is_halved(searched):
+    transfer, toy, _, _ = searched
+    short = [call for call in toy.of(training=True) if len(call["seeds"]) == 8]
+    assert short, "no batch was cut"
+    barren = [r for r in records(transfer, "update") if not r["learned"]]
+    assert barren and all(r["train_success"] == 0 for r in barren)
+    asked = [call for call in toy.of(training=True) if call["stage"] == "evolve"]
+    for before, after in itertools.pairwise(asked):
+        if (before["path"], before["alpha"].tobytes()) == (after["path"], after["alpha"].tobytes()):
+            ahead = [float(np.linalg.norm(call["next"] - call["alpha"])) for call in (before, after)]
+            assert ahead[1] == pytest.approx(ahead[0]) or ahead[1] == pytest.approx(ahead[0] / 2), ahead
+
+
+def test_the_search_trains_on_the_next_robot_alone(searched):
+    _, toy, _, _ = searched
+    for call in toy.of(training=True):
+        assert len(np.unique(call["alphas"], axis=0)) == 1 and np.array_equal(call["alphas"][0], call["next"])
+
+
+def blind():
+    """The toy's robots want what no offset can give: the search's observation is not read, so the weights have to do it."""
+    toy = Toy()
+    toy.play = lambda actor, alphas, seeds: Toy.play(
+        toy, [deaf(a) for a in actor] if isinstance(actor, list) else actor, alphas, seeds
+    )
+    return toy
+
+
+def deaf(actor):
+    """An actor whose action is all over the place, as an offset of nothing that matters makes it succeed now and then."""
+    return lambda observation, rng: actor(observation, rng) + rng.normal(0.0, 0.2, 1)
+
+
+@pytest.mark.parametrize("targets", [TARGETS[:1]])
+def test_the_weights_have_their_turn_where_the_search_brings_no_more(tmp_path, targets):
+    settings = config(learner="search", patience=2, search=SearchConfig(batch_size=8), path_budget=600)
+    transfer = transfer_of(tmp_path / "run", settings, blind(), targets=targets)
+    transfer.meta_evolve()
+    turns = [r["learner"] for r in records(transfer, "update")]
+    assert {"search", "npg"} == set(turns)
+    assert turns.index("search") < turns.index("npg"), "the search comes first"
+
+
+def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
+    """After `patience` updates without a better measurement the policy is the one that was measured best, bit for bit."""
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=2), Toy())
+    (branch,) = transfer.pending
+    branch.begin_phase(np.full(3, 0.03))
+    first, robot = branch.policy.copy(), branch.next_alpha
+    assert transfer.keep_best(branch, robot, 0.4) == "training"
+    for success in (0.3, 0.4):
+        branch.policy.set_parameters(branch.policy.parameters + 0.01)
+        branch.idle += 1
+        outcome = transfer.keep_best(branch, robot, success)
+    assert outcome == "training" and branch.turn == "weights", "this step is too short to be halved"
+    np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
+    assert transfer.keep_best(branch, robot, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])
+def test_a_search_killed_in_a_rollout_and_resumed_is_the_same_run(tmp_path, searched, share):
+    whole, toy, _, _ = searched
+    kill = int(share * len(toy.calls))
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", SEARCH, Toy(kill_after=kill), native=natives()).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", SEARCH, Toy(), resume=True, native=natives())
+    resumed.meta_evolve()
+    assert_same_end(resumed, whole)
+
+
+@pytest.mark.parametrize("settings", [SEARCH, config(learner="search", patience=1, search=SearchConfig(batch_size=8), path_budget=200)])
+def test_a_search_killed_again_and_again_is_the_same_run(tmp_path, settings):
+    """With little patience the turns and the best policy of a phase matter at every kill."""
+    whole = transfer_of(tmp_path / "whole", settings, Toy(), native=natives())
+    whole.meta_evolve()
+    sittings = 0
+    while True:
+        transfer = transfer_of(tmp_path / "run", settings, Toy(kill_after=12), resume=sittings > 0, native=natives())
+        try:
+            transfer.meta_evolve()
+            break
+        except Killed:
+            sittings += 1
+            assert sittings < 400, "the run does not get anywhere"
+    assert sittings > 3
+    assert_same_end(transfer, whole)
+
+
+def test_a_target_that_holds_already_leaves_the_tree_at_once(tmp_path):
+    """Its branch begins on it, and costs no training; the others go on from where the policy stood."""
+    toy = Toy()
+    near = Terminal("near", np.array([0.3, 0.0, 0.43]))  # wants what the source wants
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), toy, targets=[TARGETS[0], near])
+    transfer.meta_evolve()
+    paths = {transfer.routes[path][-1]: path for path in transfer.costs}
+    assert transfer.costs[paths["near"]].sim_epochs == 0 and transfer.costs["path 1"].sim_epochs == 0
+    (moved,) = [r for r in records(transfer, "moved") if r["path"] == paths["near"]]
+    assert not moved["trained"] and moved["distance"] == 0
+    begins = [call["alpha"] for call in toy.calls if call["path"] == paths["left"]]
+    np.testing.assert_array_equal(begins[0], SOURCE.alpha)
+    assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
+
+
+def test_a_look_at_the_unmodified_robot_can_end_a_path_at_once(tmp_path):
+    """F(beta) wants something else than the source; the native robot does not, and is looked at first."""
+    native = Toy()
+    native.one = lambda actor, alpha, seed: Toy.one(native, actor, SOURCE.alpha, seed)
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(learner="search", native=True), toy, targets=TARGETS[:1], native={"left": native})
+    transfer.meta_evolve()
+    assert not toy.calls and {call["stage"] for call in native.calls} == {"settle"} and not native.of(training=True)
+    assert [r["event"] for r in records(transfer)] == ["look", "moved", "arrived"]
+
+
+class Valley(Toy):
+    """Robots between a tenth and nine tenths of the way to the target want something else than both ends do."""
+
+    def one(self, actor, alpha, seed):
+        inside = 0.1 < float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha)) < 0.9
+        return super().one(actor, np.array([0.5, 0.0, 0.0]) if inside else SOURCE.alpha, seed)
+
+
+@pytest.mark.parametrize("learner", ["npg", "search"])
+def test_success_need_not_be_monotone_along_a_way(tmp_path, learner):
+    """A policy that is already behind the robots that it could not master goes on from there, however short its last step was."""
+    toy = Valley()
+    transfer = transfer_of(tmp_path / "run", config(learner=learner, path_budget=500), toy, targets=TARGETS[:1])
+    transfer.pending[0].stride = 0.05
+    transfer.meta_evolve()
+    assert not toy.of(training=True), f"{len(toy.of(training=True))} batches were trained on a way that needs none"
+    assert error_at(transfer.arrived["left"], SOURCE.alpha) < TOLERANCE
+
+
+def test_a_search_needs_something_to_explore(tmp_path):
+    with pytest.raises(ToolkitError, match="declare one in the task"):
+        Transfer(config(learner="search"), SOURCE, TARGETS, *expert(), Toy(), {}, Run.create(tmp_path / "run", {}))
+
+
+def test_the_search_goes_with_adaptive_steps():
+    with pytest.raises(ToolkitError, match="give learner 'npg' for fixed ones"):
+        TransferConfig(learner="search", step="fixed")
 
 
 # -- refused -------------------------------------------------------------------------------------------------

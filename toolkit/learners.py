@@ -126,10 +126,9 @@ class OffsetLearner:
         seeds = np.repeat(sampler.training_seeds(len(z) // 2), 2).tolist()
         policies = [shifted(branch.policy, offset) for offset in offsets]
         batch = []
-        for part in (slice(0, LOOK), slice(LOOK, len(z))):
-            batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])
-            if branch.updates == 0 and not any(episode.success for episode in batch):
-                break
+        for part in (slice(0, LOOK), slice(LOOK, None)) if branch.updates == 0 else (slice(None),):
+            if seeds[part] and (not batch or any(episode.success for episode in batch)):
+                batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])
         success = np.array([episode.success for episode in batch], float)
         learned = bool(success.any())
         if learned:
