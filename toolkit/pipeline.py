@@ -1,5 +1,6 @@
 """A transfer from names to report: robots, space, tree, expert, training, evaluation, recording, in one run folder."""
 
+import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -10,7 +11,7 @@ from robots.robot import Robot
 from tasks.pick import EXPLORED_DEVIATION, PickTask
 from toolkit.branch import Branch
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import Evaluation, evaluate_merged, evaluate_native
+from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.learning.episode import Episode
@@ -39,6 +40,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
 }  # fmt: skip
 """Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
+ENOUGH = 0.8
+"""Success on a target from which on a policy has learned it (the paper's 80 %)."""
 
 
 def check_roles(source: Robot, targets: Sequence[Robot]) -> None:
@@ -139,7 +142,7 @@ class Pipeline:
     ) -> None:
         policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
-        self.job, self.watch = job, watch
+        self.job, self.watch, self.expert = job, watch, policy.copy()
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
@@ -162,11 +165,12 @@ class Pipeline:
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
         try:
+            untrained = self._untrained()
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():
                 policy.save(self.run.path / f"{name}{POLICY_FILE}")
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
-            report = self._report(evaluations)
+            report = self._report(untrained, evaluations)
             self.run.write_json("report", report)
             self.run.write_summary(summary(report, self.tree))
             self.story.summary(summary(report, self.tree))
@@ -196,6 +200,18 @@ class Pipeline:
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 
+    def _untrained(self) -> dict[str, Any]:
+        """The expert on every unmodified target before any training: whether evolution is needed at all. A resumed run reads it."""
+        file = self.run.path / "untrained.json"
+        if file.is_file():
+            return json.loads(file.read_text(encoding="utf-8"))
+        episodes, found = self.job.evaluation_episodes, {}
+        for robot in self.job.targets:
+            found[robot.name] = evaluate_compiled(self.expert, robot, self.job.task, episodes).to_json()
+            self.watch({"event": "untrained", **found[robot.name]})
+        self.run.write_json("untrained", found)
+        return found
+
     def _evaluate(self, name: str, policy: GaussianPolicy) -> dict[str, Evaluation]:
         robot = next(robot for robot in self.job.targets if robot.name == name)
         episodes = self.job.evaluation_episodes
@@ -205,10 +221,11 @@ class Pipeline:
             "native": evaluate_native(policy, robot, self.job.task, episodes),
         }
 
-    def _report(self, evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
+    def _report(self, untrained: dict[str, Any], evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
         costs = self.transfer.costs
         total = lambda key: sum(getattr(cost, key) for cost in costs.values())  # noqa: E731
         return {
+            "untrained": untrained,
             "targets": {name: {env: e.to_json() for env, e in both.items()} for name, both in evaluations.items()},
             "train_iterations": {path: cost.train_iterations for path, cost in costs.items()},
             "sim_epochs": {path: cost.sim_epochs for path, cost in costs.items()},
@@ -222,6 +239,7 @@ class Pipeline:
             "kind": self.job.transfer.kind,
             "metric": self.job.transfer.metric,
             "step": self.job.transfer.step,
+            "learner": self.job.transfer.learner,
             "path": self.job.transfer.path,
             "source": self.job.source.name,
             "task": self.job.task.name,
@@ -233,18 +251,29 @@ def outside_playing(spent: dict[str, float]) -> float:
     return 1.0 - spent["play_s"] / max(spent["wall_s"], 1e-9)
 
 
+def _rate(evaluation: dict[str, Any]) -> str:
+    return f"{evaluation['successes']} of {evaluation['episodes']}"
+
+
+def _needed(untrained: dict[str, Any]) -> list[str]:
+    """A sentence per outcome: where the expert does without evolution, and where it does not."""
+    without = [name for name, found in untrained.items() if found["success_rate"] >= ENOUGH]
+    needed = [name for name in untrained if name not in without]
+    return [f"Evolution {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
+            for verb, names in (("was", needed), ("was not", without)) if names]  # fmt: skip
+
+
 def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     """The report as Markdown, for people."""
     lines = [
         f"# {report['source']} to {', '.join(report['targets'])}: {report['task']}", "",
-        "| target | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|",
+        "| target | direct, untrained | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for name, both in report["targets"].items():
         low, high = both["native"]["ci95"]
-        lines.append(
-            f"| {name} | {both['native']['successes']} of {both['native']['episodes']} | {low:.2f} to {high:.2f} "
-            f"| {both['merged']['successes']} of {both['merged']['episodes']} |"
-        )
+        cells = (name, _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", *_needed(report["untrained"])]
     lines += ["", "| path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|"]
     for path, route in report["routes"].items():
         name = f"{path}: {' to '.join(route)}"

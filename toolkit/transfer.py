@@ -215,11 +215,13 @@ class Transfer:
         if alone and self.config.native and branch.targets[0] in self.native:
             branch.stage = "settle"
             goal, player = self.goals[branch.targets[0]], self.native_player(branch)
-            if self.holds(branch, player, goal, self.config.goal, self.config.goal_episodes):
+            done = self.holds(branch, player, goal, self.config.goal, self.config.goal_episodes)
+            branch.stage = "evolve"
+            if done:
                 self.move(branch, goal, distance, trained=False)
+                branch.stage = "settle"
                 self.finish(branch)
                 return
-            branch.stage = "evolve"
         tried = 0.0 if self.offsets is not None else 2 * branch.stride
         for share in LOOKS:
             if share == 1.0 or share * distance >= self.config.xi:

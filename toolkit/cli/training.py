@@ -110,6 +110,8 @@ def transfer(
 ) -> None:
     """Transfer the source expert to every target along the evolution tree, then evaluate on the unmodified robots.
 
+    First of all the expert plays on every target as it is ("direct, untrained"): where it succeeds, no evolution is needed.
+
     Writes logs/<run>/: config, tree, metrics, checkpoints, recording.rrd, policies, report. Ctrl-C leaves a run that
     --resume continues to the same result.
 
