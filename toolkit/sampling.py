@@ -92,20 +92,22 @@ class Sampler:
 
     def success(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False,
-        hasty: bool = False, look: bool = False,
+        hasty: bool = False, look: bool = False, floor: float | None = None,
     ) -> float:  # fmt: skip
-        """Success rate of the policy on the robot ``alpha`` (D,), stopped as soon as it is sure to be at least ``wanted`` or below.
+        """Success rate of the policy on the robot ``alpha`` (D,), stopped once it is sure to be at least ``wanted``, or below ``floor``.
 
         Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` one also ends after its first episodes where these
         promise little; so does a ``look`` at a robot that nothing trains for: most of those fail, and what is missed is looked at again.
+        ``floor`` is ``wanted`` itself if not given; a lower one tells policies apart that are not there yet.
 
         Returns:
             the share of successes among the episodes played; at least ``wanted`` exactly if the policy has it.
         """
         needed = math.ceil(wanted * episodes)
+        least = needed if floor is None else min(needed, math.ceil(floor * episodes))
         successes = played = 0
         actor = branch.policy.act if exploring else mean_of(branch.policy)
-        while played < episodes and successes < needed and successes + episodes - played >= needed:
+        while played < episodes and successes < needed and successes + episodes - played >= least:
             size = min(LOOK, episodes - played)
             batch = self.play(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
             played += size

@@ -339,8 +339,9 @@ class Transfer:
         """
         searching = self.offsets is not None and branch.turn == "offset"
         if searching or branch.updates % self.config.check_every == 0:
-            hasty = self.offsets is not None and branch.stage == "evolve"
-            success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty)
+            hasty = self.offsets is not None and branch.next_alpha is not None
+            floor = None if self.offsets is None or hasty else self.config.threshold  # at a target the better one is to be found
+            success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty, floor=floor)
             enough = self.config.noisy_threshold
             if success >= wanted and (
                 not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough
