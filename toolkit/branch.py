@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from toolkit.learning.exploration import Trials
 from toolkit.learning.policy import (
     GaussianPolicy,
     ValueFunction,
@@ -50,8 +51,9 @@ class Branch:
         stage: "evolve" on the tree, "settle" on the native robot.
         looked: whether this policy has looked along the way from here, and not moved by training since.
         turn: whose turn it is in this phase: "offset" (the search) or "weights" (NPG).
-        idle: updates of this turn since a better success was measured.
+        idle: measurements of this turn since a better success was seen.
         deviation: (n_obs,) of the search's offsets, in the unit of each entry; None before a phase's first.
+        trials: of the search in this phase, on the robot that it trains for.
         best_success: the best that was measured in this phase on the robot it trains for.
         best: the policy that had it.
     """
@@ -71,13 +73,15 @@ class Branch:
     turn: Literal["offset", "weights"] = "offset"
     idle: int = 0
     deviation: np.ndarray | None = None
+    trials: Trials | None = None
     best_success: float = 0.0
     best: GaussianPolicy | None = None
 
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
         """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
         self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
-        self.turn, self.idle, self.deviation, self.best_success, self.best = "offset", 0, None, 0.0, None
+        self.turn, self.idle, self.best_success, self.best = "offset", 0, 0.0, None
+        self.deviation = self.trials = None
 
     def tensors(self, prefix: str) -> dict[str, np.ndarray]:
         """Its arrays, for a checkpoint; keys begin with the prefix."""
@@ -85,6 +89,8 @@ class Branch:
         for name in ("next_alpha", "deviation"):
             if getattr(self, name) is not None:
                 found[f"{prefix}.{name}"] = getattr(self, name)
+        if self.trials is not None:
+            found |= {f"{prefix}.trials.{name}": array for name, array in vars(self.trials).items()}
         return found if self.best is None else found | network_tensors(f"{prefix}.best", self.best)
 
     def state(self) -> dict[str, Any]:
@@ -114,8 +120,10 @@ def stored_branch(
     if f"{prefix}.best.parameters" in tensors:
         best = policy.copy()
         load_network(tensors, f"{prefix}.best", best)
+    kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
     return Branch(
         alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, next_alpha=tensors.get(f"{prefix}.next_alpha"),
-        deviation=tensors.get(f"{prefix}.deviation"), best=best, stride=math.inf if state["stride"] is None else state["stride"],
+        deviation=tensors.get(f"{prefix}.deviation"), best=best,
+        trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
         **{key: state[key] for key in _PLAIN if key in state},
     )  # fmt: skip

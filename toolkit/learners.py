@@ -12,7 +12,7 @@ import numpy as np
 from toolkit.branch import Branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal
-from toolkit.learning.exploration import mirrored, natural_step, shifted
+from toolkit.learning.exploration import Trials, mirrored, natural_step, shifted
 from toolkit.learning.npg import Demonstrations, npg_step
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.sampling import LOOK, Player, Sampler, mean_of
@@ -114,7 +114,7 @@ class OffsetLearner:
         its first episodes if none succeeds.
 
         Returns:
-            whether it learned from a success; without one the policy is left alone.
+            whether it learned; without a success the policy is left alone.
         """
         settings, sampler, cost = self.config.search, self.sampler, self.sampler.costs[branch.path]
         before = sampler.spent["play_s"]
@@ -130,15 +130,19 @@ class OffsetLearner:
             if seeds[part] and (not batch or any(episode.success for episode in batch)):
                 batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])
         success = np.array([episode.success for episode in batch], float)
-        learned = bool(success.any())
+        centre, deviation = np.array(branch.policy.layers().shift[self._entries]), branch.deviation[self._entries]
+        seen = branch.trials or Trials.none(len(self._entries))
+        branch.trials = seen.add(centre + offsets[: len(batch), self._entries], centre, deviation, success, settings.reuse)
+        learned = bool(branch.trials.success.any())
         if learned:
-            mean, spread = natural_step(z, success, settings.prior)
+            mean, spread = natural_step(branch.trials, centre, deviation, settings.prior)
             step = np.zeros_like(self.deviation)
-            step[self._entries] = branch.deviation[self._entries] * mean
+            step[self._entries] = deviation * mean
             branch.policy = shifted(branch.policy, step)
-            widened = branch.deviation[self._entries] * np.exp(settings.deviation_rate * spread)
             declared = self.deviation[self._entries]
-            branch.deviation[self._entries] = np.clip(widened, settings.narrowest * declared, settings.widest * declared)
+            branch.deviation[self._entries] = np.clip(
+                deviation * np.exp(settings.deviation_rate * spread), settings.narrowest * declared, settings.widest * declared
+            )
             cost.train_iterations += 1
         branch.updates += 1
         play_seconds = sampler.spent["play_s"] - before

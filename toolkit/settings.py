@@ -51,7 +51,7 @@ class TransferConfig:
     """"npg": the natural policy gradient on the weights alone (paper). "search": first an offset of what the policy sees, held for an
     episode and moved to what succeeds; the weights' turn comes where that brings no more (adaptive steps only)."""
     patience: int = 5
-    """Search: updates in a phase without a better measured success after which the step is halved, or the other learner's turn comes."""
+    """Search: measurements in a phase without a better success after which the step is halved, or the other learner's turn comes."""
     exploration: float | None = None
     """Standard deviation of every action's noise when the transfer begins, which training then changes; None: the expert's own."""
     threshold: float = 2 / 3

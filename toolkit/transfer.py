@@ -359,11 +359,9 @@ class Transfer:
             return "spent"
         if self.offsets is None or branch.turn == "weights":
             self.weights.improve(branch, player, alpha)
-            branch.idle += 1
             return "training"
         first = branch.updates == 0
         learned = self.offsets.improve(branch, player, alpha)
-        branch.idle += 1
         return "stalled" if first and not learned and self.can_halve(branch) else "training"
 
     def keep_best(self, branch: Branch, alpha: np.ndarray, success: float) -> Outcome:
@@ -372,8 +370,10 @@ class Transfer:
         The search tries a nearer robot first; at the nearest, and at a target, it is the weights' turn, and then the search's again. A
         target where neither brought anything is left with the best, if that would do on the way.
         """
-        if branch.best is None or success > branch.best_success:
-            branch.best, branch.best_success, branch.idle = branch.policy.copy(), success, 0
+        better = branch.best is None or success > branch.best_success
+        branch.idle = 0 if better else branch.idle + 1
+        if better or success == branch.best_success:  # of equals the later one: it has learned from more
+            branch.best, branch.best_success = branch.policy.copy(), success
         if branch.idle < self.config.patience:
             return "training"
         branch.policy, branch.idle = branch.best.copy(), 0
@@ -382,7 +382,7 @@ class Transfer:
                 return "stalled"
             branch.turn = "weights"
         else:
-            branch.turn, branch.deviation = "offset", None
+            branch.turn, branch.deviation, branch.trials = "offset", None, None  # the weights have changed what an offset does
             at_target = any(np.linalg.norm(alpha - self.goals[name]) < 1e-9 for name in branch.targets)
             if at_target and branch.next_alpha is None and branch.best_success >= self.config.threshold:
                 self.sampler.say("kept", branch, success=branch.best_success)

@@ -30,8 +30,10 @@ class SearchConfig:
 
     batch_size: int = 24
     """Episodes of one update, in mirrored pairs."""
-    prior: float = 2.0
-    """Successes that count for the offset as it is: two successes alone move it half of the way to their mean."""
+    prior: float = 1.0
+    """Successes that count for the offset as it is: a single one moves it half of the way."""
+    reuse: int = 144
+    """Trials on one robot, the last ones, that an update learns from, earlier batches by their importance."""
     deviation_rate: float = 0.5
     """How fast deviations follow: factor on the natural gradient of their logarithm (Wierstra et al.: (3 + log d) / (5 sqrt d),
     0.47 in three dimensions)."""
@@ -45,6 +47,7 @@ class SearchConfig:
             raise ToolkitError(f"SearchConfig.batch_size is {self.batch_size}; give an even number from 4 on: episodes come in pairs")
         for name, valid, mend in (
             ("prior", self.prior >= 0, "0 or more"),
+            ("reuse", self.reuse >= self.batch_size, f"at least a batch, {self.batch_size}"),
             ("deviation_rate", 0 <= self.deviation_rate <= 1, "a number in [0, 1]"),
             ("narrowest", 0 < self.narrowest <= 1, "a number in (0, 1]"),
             ("widest", 1 <= self.widest < math.inf, "a number from 1 on"),
@@ -67,23 +70,71 @@ def shifted(policy: GaussianPolicy, offset: np.ndarray) -> GaussianPolicy:
     return twin
 
 
-def natural_step(z: np.ndarray, success: np.ndarray, prior: float) -> tuple[np.ndarray, np.ndarray]:
+@dataclass
+class Trials:
+    """Offsets that were played on one robot: where each was drawn, and how it ended. M trials, d explored entries.
+
+    Attributes:
+        offsets: (M, d) values of the explored shifts themselves, each in its entry's unit.
+        centres, deviations: (M, d) of the distribution that each was drawn from.
+        success: (M,) 0 or 1.
+    """
+
+    offsets: np.ndarray
+    centres: np.ndarray
+    deviations: np.ndarray
+    success: np.ndarray
+
+    @classmethod
+    def none(cls, dimensions: int) -> "Trials":
+        """No trials yet, of d dimensions."""
+        empty = np.zeros((0, dimensions))
+        return cls(empty, empty, empty, np.zeros(0))
+
+    def add(self, offsets: np.ndarray, centre: np.ndarray, deviation: np.ndarray, success: np.ndarray, most: int) -> "Trials":
+        """With a batch (N, d) from one distribution added at the end; of all only the last ``most`` stay."""
+        batch = (offsets, np.broadcast_to(centre, offsets.shape), np.broadcast_to(deviation, offsets.shape), success)
+        old = (self.offsets, self.centres, self.deviations, self.success)
+        return Trials(*(np.concatenate(pair)[-most:] for pair in zip(old, batch, strict=True)))
+
+    def weights(self, centre: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+        """(M,) importance weights of the trials for the distribution with that centre (d,) and deviation (d,).
+
+        Against the mixture of all distributions that were drawn from (the balance heuristic of Veach and Guibas, "Optimally Combining
+        Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995), so that no weight exceeds the number of batches.
+        """
+        places = np.unique(np.hstack([self.centres, self.deviations]), axis=0, return_counts=True)
+        d = len(centre)
+        mixture = [_log_density(self.offsets, row[:d], row[d:]) + math.log(count) for row, count in zip(*places, strict=True)]
+        return np.exp(_log_density(self.offsets, centre, deviation) - np.logaddexp.reduce(mixture, axis=0)) * len(self.success)
+
+
+def _log_density(x: np.ndarray, centre: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(M,) of a normal distribution, but for a constant."""
+    return -0.5 * (((x - centre) / deviation) ** 2).sum(axis=1) - np.log(deviation).sum()
+
+
+def natural_step(trials: Trials, centre: np.ndarray, deviation: np.ndarray, prior: float) -> tuple[np.ndarray, np.ndarray]:
     """Natural gradient of the logarithm of expected success, for a normal distribution with independent entries.
 
-    Per entry, in units of the deviation: sum(y z) / (sum(y) + prior) for the mean, which without a prior is the mean of the samples
-    that succeeded, and half of sum(y (z^2 - 1)) / (sum(y) + prior) for the logarithm of the deviation. Mirrored samples sum to 0,
-    so no baseline changes the first; the second counts success above the batch's mean.
+    With z = (offset - centre) / deviation, y the success less its mean and w the importance weights of the trials: per entry, in units of
+    the deviation, sum(w y z) / (sum(w success) + prior) for the centre, and half of sum(w y (z^2 - 1)) / (sum(w success) + prior) for the
+    logarithm of the deviation. Trials of earlier distributions are used again (importance mixing: Sun et al., "Efficient Natural Evolution
+    Strategies", GECCO 2009); mirrored samples of one distribution sum to 0, so that without a prior the centre goes to the mean of those
+    that succeeded.
 
     Args:
-        z: (N, d) standard normal samples.
-        success: (N,) 0 or 1.
-        prior: successes at z = 0 that are counted besides those seen.
+        trials: of one robot.
+        centre, deviation: (d,) of the distribution.
+        prior: successes at the centre that are counted besides those seen.
 
     Returns:
-        (d,) for the mean, (d,) for the logarithm of the deviation; zeros without any success.
+        (d,) for the centre, (d,) for the logarithm of the deviation; zeros without any success.
     """
-    total = success.sum()
+    weights = trials.weights(centre, deviation)
+    total = weights @ trials.success
     if total == 0:
-        return np.zeros(z.shape[1]), np.zeros(z.shape[1])
-    above = success - success.mean()
-    return success @ z / (total + prior), 0.5 * above @ (z * z - 1.0) / (total + prior)
+        return np.zeros_like(centre), np.zeros_like(centre)
+    z = (trials.offsets - centre) / deviation
+    above = weights * (trials.success - total / weights.sum())
+    return above @ z / (total + prior), 0.5 * above @ (z * z - 1.0) / (total + prior)
