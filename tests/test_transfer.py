@@ -848,14 +848,14 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(learner="search", patience=2), Toy())
     (branch,) = transfer.pending
     branch.begin_phase(np.full(3, 0.03))
-    first, robot = branch.policy.copy(), branch.next_alpha
-    assert transfer.keep_best(branch, robot, 0.4) == "training"
+    first = branch.policy.copy()
+    assert transfer.keep_best(branch, 0.4) == "training"
     for success in (0.3, 0.2):
         branch.policy.set_parameters(branch.policy.parameters + 0.01)
-        outcome = transfer.keep_best(branch, robot, success)
+        outcome = transfer.keep_best(branch, success)
     assert outcome == "training" and branch.turn == "weights", "this step is too short to be halved"
     np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
-    assert transfer.keep_best(branch, robot, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
+    assert transfer.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])
@@ -910,7 +910,7 @@ def test_a_look_at_the_unmodified_robot_can_end_a_path_at_once(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(learner="search", native=True), toy, targets=TARGETS[:1], native={"left": native})
     transfer.meta_evolve()
     assert not toy.calls and {call["stage"] for call in native.calls} == {"settle"} and not native.of(training=True)
-    assert [r["event"] for r in records(transfer)] == ["look", "moved", "arrived"]
+    assert [r["event"] for r in records(transfer)] == ["look", "moved", "check", "arrived"]
 
 
 class Valley(Toy):

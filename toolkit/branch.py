@@ -51,6 +51,7 @@ class Branch:
         stage: "evolve" on the tree, "settle" on the native robot.
         looked: whether this policy has looked along the way from here, and not moved by training since.
         turn: whose turn it is in this phase: "offset" (the search) or "weights" (NPG).
+        turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen.
         deviation: (n_obs,) of the search's offsets, in the unit of each entry; None before a phase's first.
         trials: of the search in this phase, on the robot that it trains for.
@@ -71,6 +72,7 @@ class Branch:
     stage: Literal["evolve", "settle"] = "evolve"
     looked: bool = False
     turn: Literal["offset", "weights"] = "offset"
+    turns: int = 0
     idle: int = 0
     deviation: np.ndarray | None = None
     trials: Trials | None = None
@@ -80,7 +82,7 @@ class Branch:
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
         """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
         self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
-        self.turn, self.idle, self.best_success, self.best = "offset", 0, 0.0, None
+        self.turn, self.turns, self.idle, self.best_success, self.best = "offset", 0, 0, 0.0, None
         self.deviation = self.trials = None
 
     def tensors(self, prefix: str) -> dict[str, np.ndarray]:
@@ -98,7 +100,7 @@ class Branch:
         return {key: getattr(self, key) for key in _PLAIN} | {"stride": None if math.isinf(self.stride) else self.stride}
 
 
-_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "idle", "best_success")
+_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "best_success")
 
 
 def stored_branch(

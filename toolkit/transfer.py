@@ -214,13 +214,12 @@ class Transfer:
         branch.looked = True
         if alone and self.config.native and branch.targets[0] in self.native:
             branch.stage = "settle"
-            goal, player = self.goals[branch.targets[0]], self.native_player(branch)
-            done = self.holds(branch, player, goal, self.config.goal, self.config.goal_episodes)
+            goal = self.goals[branch.targets[0]]
+            holds = self.holds(branch, self.native_player(branch), goal)
             branch.stage = "evolve"
-            if done:
+            if holds:
                 self.move(branch, goal, distance, trained=False)
                 branch.stage = "settle"
-                self.finish(branch)
                 return
         tried = 0.0 if self.offsets is not None else 2 * branch.stride
         for share in LOOKS:
@@ -245,16 +244,13 @@ class Transfer:
                 self.move(child, goal, float(np.linalg.norm(goal - child.alpha)), trained=False)
         return True
 
-    def holds(
-        self, branch: Branch, player: Player, robot: np.ndarray, wanted: float | None = None, episodes: int | None = None
-    ) -> bool:
+    def holds(self, branch: Branch, player: Player, robot: np.ndarray) -> bool:
         """Whether the policy has the success on the robot (D,) that moving on there takes, at a look."""
-        wanted, episodes = wanted or self.config.threshold, episodes or self.config.check_episodes
+        wanted, enough, episodes = self.config.threshold, self.config.noisy_threshold, self.config.check_episodes
         if self.sampler.success(branch, player, robot, wanted, episodes, look=True) < wanted:
             return False
-        enough = self.config.noisy_threshold
         return not self.asks_noise(branch, robot) or (
-            self.sampler.success(branch, player, robot, enough, self.config.check_episodes, exploring=True) >= enough
+            self.sampler.success(branch, player, robot, enough, episodes, exploring=True) >= enough
         )
 
     def asks_noise(self, branch: Branch, robot: np.ndarray) -> bool:
@@ -350,7 +346,7 @@ class Transfer:
             if not searching:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
             if self.offsets is not None:
-                outcome = self.keep_best(branch, alpha, success)
+                outcome = self.keep_best(branch, success)
                 if outcome != "training":
                     return outcome
         cost = self.costs[branch.path]
@@ -364,12 +360,15 @@ class Transfer:
         learned = self.offsets.improve(branch, player, alpha)
         return "stalled" if first and not learned and self.can_halve(branch) else "training"
 
-    def keep_best(self, branch: Branch, alpha: np.ndarray, success: float) -> Outcome:
+    def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
 
-        The search tries a nearer robot first; at the nearest, and at a target, it is the weights' turn, and then the search's again. A
-        target where neither brought anything is left with the best, if that would do on the way.
+        The search tries a nearer robot first; at the nearest, and at a target, it is the weights' turn, and then the search's again. On a
+        target that holds at once the weights begin. A target where neither brought anything is left with the best, if that would do on the
+        way.
         """
+        if branch.best is None and branch.next_alpha is None and success >= self.config.threshold:
+            branch.turn = "weights"  # what a target that holds still lacks is many small things, not one place to grasp
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
         if better or success == branch.best_success:  # of equals the later one: it has learned from more
@@ -383,10 +382,10 @@ class Transfer:
             branch.turn = "weights"
         else:
             branch.turn, branch.deviation, branch.trials = "offset", None, None  # the weights have changed what an offset does
-            at_target = any(np.linalg.norm(alpha - self.goals[name]) < 1e-9 for name in branch.targets)
-            if at_target and branch.next_alpha is None and branch.best_success >= self.config.threshold:
-                self.sampler.say("kept", branch, success=branch.best_success)
-                return "spent"
+        branch.turns += 1
+        if branch.turns >= 2 and branch.next_alpha is None and branch.best_success >= self.config.threshold:
+            self.sampler.say("kept", branch, success=branch.best_success)
+            return "spent"
         return "training"
 
     def can_halve(self, branch: Branch) -> bool:
