@@ -858,6 +858,25 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     assert transfer.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 
 
+def test_a_spent_budget_leaves_the_best_policy(tmp_path):
+    """What arrives is what was measured best on its target, not what came last."""
+    measured = []
+
+    def watch(record, branch):
+        if record["event"] == "check" and branch.next_alpha is None:
+            measured.append((record["success"], branch.policy.copy()))
+
+    settings = config(learner="search", kind="direct", path_budget=400, patience=50, goal=1.0, search=SearchConfig(batch_size=8, reuse=8))
+    toy = Toy()
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (seed % 5 == 0), seed)  # so the goal is out of reach
+    transfer = transfer_of(tmp_path / "run", settings, toy, targets=[Terminal("near", np.array([0.2, 0.1, 0.0]))], report=watch)
+    transfer.meta_evolve()
+    assert records(transfer, "budget") and len({success for success, _ in measured}) > 2
+    best = max(success for success, _ in measured)
+    assert any(success == best and np.array_equal(policy.layers().shift, transfer.arrived["near"].layers().shift)
+               for success, policy in measured)  # fmt: skip
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])
 def test_a_search_killed_in_a_rollout_and_resumed_is_the_same_run(tmp_path, searched, share):
     whole, toy, _, _ = searched

@@ -185,6 +185,7 @@ class Transfer:
         distance = float(np.linalg.norm(step.meta_alpha - branch.alpha))
         spent = self.costs[branch.path].sim_epochs >= self.config.path_budget
         if spent and self.config.kind != "direct":
+            self.return_to_best(branch)
             self.sampler.say("budget", branch, reach=distance)
         if spent or self.config.kind == "direct":
             self.move(branch, step.meta_alpha, distance if self.config.kind == "direct" else branch.stride, trained=False)
@@ -351,6 +352,7 @@ class Transfer:
                     return outcome
         cost = self.costs[branch.path]
         if cost.sim_epochs >= self.config.path_budget:
+            self.return_to_best(branch)
             self.sampler.say("budget", branch, sim_epochs=cost.sim_epochs)
             return "spent"
         if self.offsets is None or branch.turn == "weights":
@@ -375,7 +377,8 @@ class Transfer:
             branch.best, branch.best_success = branch.policy.copy(), success
         if branch.idle < self.config.patience:
             return "training"
-        branch.policy, branch.idle = branch.best.copy(), 0
+        self.return_to_best(branch)
+        branch.idle = 0
         if branch.turn == "offset":
             if self.can_halve(branch):
                 return "stalled"
@@ -387,6 +390,11 @@ class Transfer:
             self.sampler.say("kept", branch, success=branch.best_success)
             return "spent"
         return "training"
+
+    def return_to_best(self, branch: Branch) -> None:
+        """Take the policy that was measured best in this phase, where one was kept."""
+        if branch.best is not None:
+            branch.policy = branch.best.copy()
 
     def can_halve(self, branch: Branch) -> bool:
         """Whether the search may train for a robot half as far."""
