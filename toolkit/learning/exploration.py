@@ -28,7 +28,7 @@ class SearchConfig:
         ToolkitError: a value outside its range.
     """
 
-    batch_size: int = 24
+    batch_size: int = 16
     """Episodes of one update, in mirrored pairs."""
     prior: float = 1.0
     """Successes that count for the offset as it is: a single one moves it half of the way."""
