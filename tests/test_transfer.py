@@ -853,7 +853,7 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     for success in (0.3, 0.2):
         branch.policy.set_parameters(branch.policy.parameters + 0.01)
         outcome = transfer.keep_best(branch, success)
-    assert outcome == "training" and branch.turn == "weights", "this step is too short to be halved"
+    assert outcome == "training" and branch.turn == "weights", "the search's turn is over"
     np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
     assert transfer.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 

@@ -35,7 +35,7 @@ PRESETS: dict[str, dict[str, Any]] = {
                            "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
-    "full": {"transfer": {"learner": "search", "exploration": 0.15, "goal": 0.95, "path_budget": 15_000},
+    "full": {"transfer": {"learner": "search", "exploration": 0.15, "goal": 0.95, "check_every": 2, "path_budget": 15_000},
              "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
              "evaluation_episodes": 200},
     # Every number from the paper's table.

@@ -365,9 +365,9 @@ class Transfer:
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
 
-        The search tries a nearer robot first; at the nearest, and at a target, it is the weights' turn, and then the search's again. On a
-        target that holds at once the weights begin. A target where neither brought anything is left with the best, if that would do on the
-        way.
+        After the search the weights have their turn, then a nearer robot is tried; at the nearest, and at a target, the search goes on. On
+        a target that holds at once the weights begin. A target where neither brought anything is left with the best, if that would do on
+        the way.
         """
         if branch.best is None and branch.next_alpha is None and success >= self.config.threshold:
             branch.turn = "weights"  # what a target that holds still lacks is many small things, not one place to grasp
@@ -379,13 +379,13 @@ class Transfer:
             return "training"
         self.return_to_best(branch)
         branch.idle = 0
+        branch.turns += 1
+        if branch.turns >= 2 and self.can_halve(branch):
+            return "stalled"
         if branch.turn == "offset":
-            if self.can_halve(branch):
-                return "stalled"
             branch.turn = "weights"
         else:
             branch.turn, branch.deviation, branch.trials = "offset", None, None  # the weights have changed what an offset does
-        branch.turns += 1
         if branch.turns >= 2 and branch.next_alpha is None and branch.best_success >= self.config.threshold:
             self.sampler.say("kept", branch, success=branch.best_success)
             return "spent"
