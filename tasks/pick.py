@@ -97,6 +97,12 @@ OBSERVATION_SCALE = np.concatenate(
 """Smallest scale (n_obs,) by which a policy normalises each entry, so that an entry that hardly moves on the source
 (or a joint that freezes) is never blown up."""
 
+EXPLORED: dict[str, float] = {"object_from_grasp": 0.012}
+"""Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
+where the object is believed to be decides where it is grasped."""
+EXPLORED_DEVIATION = np.concatenate([np.full(size, EXPLORED.get(name, 0.0)) for name, size in OBSERVATION.items()])
+"""The same as one vector (n_obs,), 0 where nothing is explored."""
+
 ACTION: dict[str, int] = {
     "grasp_translation": 3,  # OSC delta of the grasp frame, 1 = 0.05 m, base axes
     "grasp_rotation": 3,  # OSC delta, 1 = 0.5 rad, base axes

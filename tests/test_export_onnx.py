@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
 from toolkit.export import ActionMap, export_onnx, load_onnx, onnx_max_abs_error
+from toolkit.learning.exploration import shifted
 from toolkit.learning.policy import GaussianPolicy
 
 RECORD = {"finger_angles": 24, "grasp_position": 3, "grasp_rotation": 6, "object_position": 3, "opening": 2}
@@ -49,6 +50,17 @@ def test_onnx_agrees_with_numpy(exported):
     assert error <= 1e-5, f"ONNX and numpy differ by {error:.1e}"
     actions = np.array([load_onnx(exported)(split(observation)) for observation in observations[:50]])
     assert 0.05 < (np.abs(actions) == 1.0).mean() < 0.95, "the test should see both sides of the clip"
+
+
+def test_a_searched_offset_is_part_of_the_graph(tmp_path):
+    """Nothing besides the graph knows of it: the exported policy acts as the unmoved one does on what lies by the offset nearer."""
+    offset = np.random.default_rng(3).normal(0.0, 0.02, 38)
+    export_onnx(shifted(make_policy(), offset), tmp_path / "policy.onnx", make_map(), RECORD, METADATA)
+    observations = np.random.default_rng(1).standard_normal((50, 38))
+    assert onnx_max_abs_error(shifted(make_policy(), offset), tmp_path / "policy.onnx", observations, make_map()) <= 1e-5
+    graph, unmoved = load_onnx(tmp_path / "policy.onnx"), make_map()
+    for observation in observations:
+        np.testing.assert_allclose(graph.act(observation), unmoved(make_policy().mean(observation - offset)), atol=1e-4)
 
 
 def test_a_vector_acts_as_its_record_does(exported):

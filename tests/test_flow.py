@@ -17,7 +17,7 @@ from toolkit.phases import ROLES, load_phases
 from toolkit.pipeline import Job, Pipeline
 from toolkit.recording.viewer import reader_of
 from toolkit.runs import Run
-from toolkit.transfer import TransferConfig
+from toolkit.settings import TransferConfig
 
 TARGET = "kinova3"
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
@@ -78,7 +78,7 @@ def test_the_run_folder_explains_the_run(played, job):
     phases = {f"phases/{name}.safetensors" for name in load_phases(folder)}
     assert any("evolve" in name for name in phases) and any("settle" in name for name in phases)
     assert files - phases == {
-        "config.json", "versions.json", "git.json", "tree.json", "metrics.jsonl", "report.json", "summary.md",
+        "config.json", "versions.json", "git.json", "tree.json", "untrained.json", "metrics.jsonl", "report.json", "summary.md",
         "recording.rrd", f"{TARGET}.policy.safetensors", "checkpoints/transfer.safetensors",
     }  # fmt: skip
     content = json.loads((folder / "config.json").read_text())
@@ -103,15 +103,15 @@ def test_the_report_keeps_its_contract(played):
 def test_the_report_counts_what_was_watched(played):
     folder, report, watched = played
     updates = sum(record["event"] == "update" for record in watched)
-    checked = sum(record["checked"] for record in watched if record["event"] in ("check", "explore"))
+    checked = sum(record["checked"] for record in watched if record["event"] in ("check", "look", "explore"))
     batch = CONFIG.npg.batch_size
     assert report["train_iterations"] == {"path 1": updates} and report["totals"]["train_iterations"] == updates
     assert report["sim_epochs"] == {"path 1": updates * batch} and report["totals"]["sim_epochs"] <= CONFIG.path_budget
     assert report["check_episodes"] == {"path 1": checked}
     on_disk = [record["event"] for record in Run.open(folder).read_metrics()]
-    assert on_disk == [record["event"] for record in watched if record["event"] not in ("preparing", "evaluating", "recorded")]
+    assert on_disk == [record["event"] for record in watched if record["event"] not in ("preparing", "untrained", "evaluating", "recorded")]
     spent = [record for record in watched if record["event"] == "budget"]
-    held = [record for record in watched if record["event"] == "check"][-1]["held"]
+    held = [record for record in watched if record["event"] in ("check", "look")][-1]["held"]
     assert held or spent, "the path ended without success, and did not say that its budget was spent"
 
 
@@ -148,7 +148,10 @@ def test_the_summary_is_the_report_in_words(played):
     folder, report, _ = played
     text = (folder / "summary.md").read_text()
     native = report["targets"][TARGET]["native"]
-    assert f"| {TARGET} | {native['successes']} of {native['episodes']} |" in text
+    untrained = report["untrained"][TARGET]
+    assert f"| {TARGET} | {untrained['successes']} of 2 | {native['successes']} of {native['episodes']} |" in text
+    was = "was" if untrained["success_rate"] < 0.8 else "was not"
+    assert f"Evolution {was} needed for {TARGET} ({untrained['successes']} of 2 untrained)." in text
     assert f"| total | {report['totals']['train_iterations']} | {report['totals']['sim_epochs']} |" in text
 
 

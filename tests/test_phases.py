@@ -28,7 +28,7 @@ def episode(seed, success=False, steps=5, distance=0.1, diverged=False):
 
 
 def saw(witness, policy, episodes, update=0, noise=False):
-    witness.saw("path 1", "evolve", ["a"], np.zeros(D), policy, episodes, noise, update)
+    witness.saw("path 1", "evolve", ["a"], np.zeros(D), [policy] * len(episodes), episodes, noise, update)
 
 
 def test_the_episodes_worth_seeing_are_picked(tmp_path, policy):

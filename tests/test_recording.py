@@ -60,7 +60,7 @@ def run(small, policy, tmp_path_factory):
         [("moved", "evolve", start, half, (11, 12)), ("moved", "evolve", half, end, (11,)), ("arrived", "settle", end, end, (11,))]
     ):
         played = [play(plants[stage](after), mean, seed, after) for seed in seeds]
-        witness.saw("path 1", stage, ["jaco"], before, policy, played, False, 0)
+        witness.saw("path 1", stage, ["jaco"], before, [policy] * len(played), played, False, 0)
         success = float(np.mean([episode.success for episode in played]))
         record = {"path": "path 1", "stage": stage, **cost, "seconds": 10.0 * second}
         made.append_metrics({"event": "check", "success": success, "checked": len(played), **record})
@@ -301,7 +301,8 @@ def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
     (stuck / "metrics.jsonl").write_text("".join(records[:2]))
     played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
                    lambda observation, rng: known.policy.mean(observation), 11, known.merged.space.betas[1])]  # fmt: skip
-    Witness(stuck, {"path 1": 1}).saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], known.policy, played, False, 0)
+    policies = [known.policy] * len(played)
+    Witness(stuck, {"path 1": 1}).saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
     cost = shows.rebuild(shows.Known(stuck, known.merged, known.policy, known.native, {}))
     assert cost.drawn == cost.known == 3, "two episodes of the phase that ended, one of the phase that did not"
     texts = [row["TextDocument:text"][0] for row in entities(stuck / "recording.rrd")["/signals/caption"]]

@@ -5,9 +5,10 @@ import re
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from toolkit.errors import ToolkitError
-from toolkit.results import PAPER, read_result, write_results
+from toolkit.results import PAPER, finished_runs, read_result, results_json, write_results
 from toolkit.runs import Run
 
 
@@ -58,6 +59,38 @@ def test_a_tree_is_compared_with_the_independent_paths_to_its_own_targets(tmp_pa
     text = write_results(suite, "A suite", "make results").read_text()
     assert f"| tree-0 | left, right | 6 | 6 | 1.00 | 1007 | {2008 + 7} | {2015 / 1007:.2f} |" in text
     assert "| other-task | left, right | 6 |" not in text  # nobody went there alone
+
+
+def test_json_says_what_the_page_says(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    for name, seed, epochs, successes, kind in (("tree-0", 0, 1001, 187, "steiner"), ("tree-1", 1, 2002, 163, "steiner"),
+                                                ("alone-0", 0, 4111, 151, "independent")):  # fmt: skip
+        finished(suite, name, seed, epochs, successes, kind)
+    found = json.loads(json.dumps(results_json(finished_runs(suite))))
+    alone, tree = found["rows"]
+    assert (tree["method"], tree["task"], tree["seeds"]) == ("tree, L1, adaptive step", "061_foam_brick", 2)
+    assert tree["targets"] == ["left", "right"]
+    assert tree["sim_epochs"] == {"mean": 1508.5, "sd": pytest.approx(np.std([1008, 2009], ddof=1))}
+    assert tree["train_iterations"] == {"mean": 6, "sd": 0} and tree["check_episodes"]["mean"] == 32
+    low, high = binomtest(350, 400).proportion_ci(0.95, method="wilson")
+    assert tree["success"]["left"] == {"native": 350 / 400, "ci95": pytest.approx([low, high])}
+    assert (alone["method"], alone["seeds"], alone["sim_epochs"]) == ("independent, adaptive step", 1, {"mean": 4118, "sd": None})
+    (ratio,) = found["ratios"]
+    assert (ratio["tree"], ratio["independent"], ratio["targets"]) == (tree["method"], alone["method"], ["left", "right"])
+    assert ratio["sim_epochs"] == pytest.approx(4118 / 1508.5) and ratio["train_iterations"] == pytest.approx(1.0)
+
+
+def test_learners_are_not_mixed(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    finished(suite, "tree-0", 0, 1000, 187)
+    path = finished(suite, "alone-0", 0, 4111, 151, kind="independent")
+    report = json.loads((path / "report.json").read_text())
+    (path / "report.json").write_text(json.dumps(report | {"learner": "search"}))
+    found = results_json(finished_runs(suite))
+    assert found["ratios"] == [] and {row["method"] for row in found["rows"]} == {
+        "tree, L1, adaptive step", "independent, adaptive step, search"}  # fmt: skip
 
 
 def test_the_way_to_a_target_counts_the_paths_shared_with_others(tmp_path):

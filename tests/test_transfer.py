@@ -18,10 +18,12 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs import Run
-from toolkit.transfer import CHECKING_SEEDS, TRAINING_SEEDS, Transfer, TransferConfig
+from toolkit.settings import CHECKING_SEEDS, TRAINING_SEEDS, TransferConfig
+from toolkit.transfer import Transfer
 
 SOURCE = Terminal("hand", np.zeros(3))
 TARGETS = [Terminal("left", np.array([0.8, 0.6, 0.2])), Terminal("right", np.array([0.8, 0.2, 0.9]))]
@@ -30,6 +32,7 @@ WEIGHTS = np.array([1.0, 1.0, -0.7])
 TOLERANCE = 0.15
 OBSERVATION = np.ones(1)
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
+DEVIATION = np.array([0.2])
 NPG = NpgConfig(step_size=0.1, min_log_std=-2.6, cg_iterations=4, value_epochs=2)
 
 
@@ -71,7 +74,8 @@ class Toy:
         if self.kill_after is not None and len(self.calls) >= self.kill_after:
             raise Killed
         branch = self.transfer.pending[-1]
-        noisy = len({float(actor(OBSERVATION, np.random.default_rng(i))[0]) for i in range(3)}) > 1
+        actors = actor if isinstance(actor, list) else [actor] * len(seeds)
+        noisy = len({float(actors[0](OBSERVATION, np.random.default_rng(i))[0]) for i in range(3)}) > 1
         state = {
             "path": branch.path, "alpha": branch.alpha, "next": branch.next_alpha, "window": branch.window,
             "stage": branch.stage, "training": max(seeds) < TRAINING_SEEDS, "noisy": noisy,
@@ -79,7 +83,7 @@ class Toy:
         }  # fmt: skip
         self.calls.append(state)
         self.episodes += len(seeds)
-        return [self.one(actor, alpha, seed) for alpha, seed in zip(alphas, seeds, strict=True)]
+        return [self.one(*job) for job in zip(actors, alphas, seeds, strict=True)]
 
     def one(self, actor, alpha, seed):
         action = actor(OBSERVATION, np.random.default_rng((seed, 1)))
@@ -111,16 +115,25 @@ def expert():
     return policy, value
 
 
+def seeing_expert():
+    """As `expert`, but nearly linear in what it sees: an offset of its one observation moves its action by as much."""
+    policy, value = expert()
+    policy.set_parameters(np.concatenate([np.full(8, 0.1), np.zeros(8), np.full(8, 10 / 8), [0.0], policy.log_std]))
+    policy.set_normalisation(policy.mean(OBSERVATION) - wanted(SOURCE.alpha), np.ones(1))
+    return policy, value
+
+
 def config(**changes):
     return TransferConfig(**{"npg": NPG, "check_episodes": 12, "goal_episodes": 12, "xi": 0.08, "native": False} | changes)
 
 
-def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None):
+def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
-    quiet = lambda record, branch: None  # noqa: E731
-    transfer = Transfer(settings, SOURCE, list(targets), *expert(), player, native, run, report or quiet)
+    quiet = lambda *seen: None  # noqa: E731
+    learner = expert() if settings.learner == "npg" else seeing_expert()
+    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, DEVIATION)
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
     if resume:
@@ -175,6 +188,7 @@ def test_every_target_is_reached_and_learned(finished):
     assert not records(transfer, "budget")
 
 
+@pytest.mark.parametrize("finished", ["fixed"], indirect=True)
 def test_paths_split_at_the_meta_robot(finished):
     transfer, toy = finished
     assert list(transfer.routes) == ["path 1", "path 2", "path 3"] and transfer.routes["path 1"] == ["hand"]
@@ -205,26 +219,34 @@ def test_the_answer_was_measured_on_its_target(finished):
 def test_checks_say_what_was_played(finished):
     transfer, toy = finished
     checks = iter(toy.of(training=False))
-    for record in (r for r in records(transfer) if r["event"] in ("check", "explore")):
+    for record in (r for r in records(transfer) if r["event"] in ("check", "look", "explore")):
         played = []
         while len(played) < record["checked"]:
             played += next(checks)["seeds"]
         assert len(played) == record["checked"]
-        wanted = transfer.config.threshold if record["event"] == "check" else transfer.config.noisy_threshold
+        wanted = transfer.config.noisy_threshold if record["event"] == "explore" else transfer.config.threshold
         assert not record["held"] or record["success"] >= wanted
     assert next(checks, None) is None, "a measurement was played but not written down"
 
 
 def test_the_way_goes_on_only_where_the_exploring_policy_succeeds_too(finished):
-    """Before every move: the mean action and the policy under noise, each at its threshold, on the very robot that is next."""
+    """Before every move: the mean action and the policy under noise, each at its threshold, on the very robot that is next.
+
+    Adaptive steps ask the mean action alone at a target, where nothing follows.
+    """
     transfer, toy = finished
-    told = [r for r in records(transfer) if r["event"] in ("check", "explore", "moved")]
+    told = [r for r in records(transfer) if r["event"] in ("check", "look", "explore", "moved")]
     calm = [r for i, r in enumerate(told) if not (r["event"] == "explore" and i + 1 < len(told) and told[i + 1]["event"] == "explore")]
-    moves = [calm[i - 2 : i] for i, record in enumerate(calm) if record["event"] == "moved"]
+    moves = [calm[i - 2 : i + 1] for i, record in enumerate(calm) if record["event"] == "moved"]
     assert moves
-    for mean, noisy in moves:
-        assert (mean["event"], noisy["event"]) == ("check", "explore") and mean["reach"] == noisy["reach"]
-        assert mean["success"] >= transfer.config.threshold and noisy["success"] >= transfer.config.noisy_threshold
+    for before, last, moved in moves:
+        if last["event"] == "explore":
+            assert before["event"] in ("check", "look") and before["reach"] == last["reach"]
+            assert before["success"] >= transfer.config.threshold and last["success"] >= transfer.config.noisy_threshold
+        else:
+            alone = transfer.routes[moved["path"]][-1] in ("left", "right")
+            assert alone and moved["distance"] < 1e-9 and transfer.config.step == "adaptive", moved
+            assert last["held"] and last["success"] >= transfer.config.threshold
     checks = toy.of(training=False)
     assert {call["noisy"] for call in checks} == {True, False}
     assert sum(len(call["seeds"]) for call in checks if call["noisy"]) == sum(r["checked"] for r in told if r["event"] == "explore")
@@ -247,14 +269,14 @@ def test_calming_and_rousing_scale_the_noise_and_nothing_else(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(calm=0.5, least_noise=0.25), Toy())
     (branch,) = transfer.pending
     first, mean = branch.policy.log_std, branch.policy.mean(OBSERVATION)
-    assert not transfer.rouse(branch), "the first noise is the most"
+    assert not transfer.weights.rouse(branch), "the first noise is the most"
     shares = []
-    while transfer.calm(branch):
+    while transfer.weights.calm(branch):
         shares.append(branch.noise)
         np.testing.assert_allclose(branch.policy.log_std, first + np.log(branch.noise), rtol=0, atol=1e-12)
     assert shares == [0.5, 0.25], "not halved down to a quarter"
     shares = []
-    while transfer.rouse(branch):
+    while transfer.weights.rouse(branch):
         shares.append(branch.noise)
     assert shares == [0.5, 1.0]
     np.testing.assert_allclose(branch.policy.log_std, first, rtol=0, atol=1e-12)
@@ -266,6 +288,7 @@ def test_there_is_less_noise_where_it_alone_stands_in_the_way(tmp_path):
     toy = easy_toy()
     transfer = transfer_of(tmp_path / "run", config(least_noise=0.05), toy)
     transfer.pending[0].policy.set_log_std(np.array([-1.0]))  # more than TOLERANCE bears
+    transfer.leave = lambda branch: False  # every target holds already
     transfer.meta_evolve()
     told = [r for r in records(transfer) if r["event"] in ("check", "explore")]
     assert all(0.05 <= r["noise"] <= 1.0 for r in told)
@@ -293,7 +316,8 @@ def test_a_measurement_stops_early_without_changing_its_outcome(tmp_path):
         rate = np.mean([error < tolerance(CHECKING_SEEDS + i) for i in range(24)])
         for needed in (0.5, 2 / 3, 0.85, 1.0):
             before = toy.episodes
-            assert (transfer.success(branch, toy, alpha, needed, 24) >= needed) is bool(rate >= needed - 1e-9), (error, rate, needed)
+            measured = transfer.sampler.success(branch, toy, alpha, needed, 24)
+            assert (measured >= needed) is bool(rate >= needed - 1e-9), (error, rate, needed)
             saved += 24 - (toy.episodes - before)
     assert transfer.costs["path 1"].check_episodes == toy.episodes
     assert saved > 0, "no measurement stopped early"
@@ -462,8 +486,9 @@ def test_adaptive_steps_never_skip_a_robot_on_which_they_do_not_hold(finished):
     log = records(transfer)
     for i, record in enumerate(log):
         if record["event"] == "moved":
-            assert log[i - 1]["event"] == "explore" and log[i - 1]["held"], f"record {i} moves on {log[i - 1]}"
-            gone = log[i - 1]["reach"]
+            last = next(r for r in reversed(log[:i]) if r["event"] != "split")
+            assert last["held"], f"record {i} moves on {last}"
+            gone = last["reach"]
             assert abs(gone - record["stride"]) < transfer.config.xi + 1e-9, (gone, record["stride"])
 
 
@@ -717,7 +742,7 @@ def test_a_finished_run_resumes_to_its_own_end(tmp_path):
     again = transfer_of(tmp_path / "run", config(), toy, resume=True)
     again.meta_evolve()
     assert_same_end(again, finished)
-    assert again.seconds >= finished._earlier_seconds
+    assert again.sampler.seconds >= finished.sampler.earlier_seconds
 
 
 def test_another_seed_is_another_run(tmp_path, unbroken):
@@ -725,6 +750,215 @@ def test_another_seed_is_another_run(tmp_path, unbroken):
     transfer = transfer_of(tmp_path / "run", other, Toy(), native=natives())
     transfer.meta_evolve()
     assert timeless(transfer) != timeless(unbroken[0])
+
+
+# -- the search ----------------------------------------------------------------------------------------------
+
+SEARCH = config(learner="search", native=True, path_budget=3_000)
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """(transfer, engine, native robots, policies that played each training batch) of a whole run of the search."""
+    toy, others, played = Toy(), natives(), []
+
+    def witness(branch, episodes, noise, policies):
+        if max(episode.seed for episode in episodes) < TRAINING_SEEDS:
+            played.append((branch.policy.copy(), policies, episodes, noise))
+
+    transfer = transfer_of(tmp_path_factory.mktemp("search") / "run", SEARCH, toy, native=others, witness=witness)
+    transfer.meta_evolve()
+    return transfer, toy, others, played
+
+
+def test_the_search_reaches_every_target_by_what_the_policy_sees(searched):
+    """The native robots want something else again; weights are touched only where the search has had its turn."""
+    transfer, _, _, _ = searched
+    for target, shift in zip(TARGETS, (0.2, -0.2), strict=True):
+        error = abs(float(transfer.arrived[target.name].mean(OBSERVATION)[0]) - wanted(target.alpha) - shift)
+        assert error < TOLERANCE, f"{target.name} is off by {error:.2f}"
+    updates = records(transfer, "update")
+    assert {r["learner"] for r in updates} == {"search"} and not records(transfer, "budget")
+    for policy in transfer.arrived.values():
+        np.testing.assert_array_equal(policy.parameters, seeing_expert()[0].parameters)
+        assert abs(float(policy.layers().shift[0]) - float(seeing_expert()[0].layers().shift[0])) > TOLERANCE
+
+
+def test_the_searchs_episodes_are_counted_to_the_last(searched):
+    transfer, toy, others, played = searched
+    calls = [*toy.calls, *itertools.chain(*(other.calls for other in others.values()))]
+    for path, cost in transfer.costs.items():
+        mine = [call for call in calls if call["path"] == path]
+        assert cost.sim_epochs == sum(len(call["seeds"]) for call in mine if call["training"]), path
+        assert cost.check_episodes == sum(len(call["seeds"]) for call in mine if not call["training"]), path
+    total = sum(cost.sim_epochs for cost in transfer.costs.values())
+    assert total == sum(len(episodes) for _, _, episodes, _ in played) > 0
+    learned = [r for r in records(transfer, "update") if r["learned"]]
+    assert sum(cost.train_iterations for cost in transfer.costs.values()) == len(learned) > 0
+
+
+def test_an_offset_is_held_for_an_episode_and_mirrored_on_the_same_start(searched):
+    """No noise on the actions; each pair of policies is the branch's, moved by as much to either side, and plays one seed."""
+    _, toy, _, played = searched
+    assert not any(call["noisy"] for call in toy.calls)
+    for policy, policies, episodes, noise in played:
+        assert not noise and [e.seed for e in episodes[0::2]] == [e.seed for e in episodes[1::2]]
+        offsets = np.array([p.layers().shift - policy.layers().shift for p in policies])
+        np.testing.assert_allclose(offsets[0::2], -offsets[1::2], rtol=0, atol=1e-12)
+        assert (np.abs(offsets) > 0).all()
+        for own, episode in zip(policies, episodes, strict=True):
+            np.testing.assert_array_equal(episode.actions[0], own.mean(OBSERVATION))
+
+
+def test_a_first_batch_without_success_ends_after_its_first_part_and_the_step_is_halved(searched):
+    transfer, toy, _, _ = searched
+    short = [call for call in toy.of(training=True) if len(call["seeds"]) == 8]
+    assert short, "no batch was cut"
+    barren = [r for r in records(transfer, "update") if not r["learned"]]
+    assert barren and all(r["train_success"] == 0 for r in barren)
+    asked = [call for call in toy.of(training=True) if call["stage"] == "evolve"]
+    for before, after in itertools.pairwise(asked):
+        if (before["path"], before["alpha"].tobytes()) == (after["path"], after["alpha"].tobytes()):
+            ahead = [float(np.linalg.norm(call["next"] - call["alpha"])) for call in (before, after)]
+            assert ahead[1] == pytest.approx(ahead[0]) or ahead[1] == pytest.approx(ahead[0] / 2), ahead
+
+
+def test_the_search_trains_on_the_next_robot_alone(searched):
+    _, toy, _, _ = searched
+    for call in toy.of(training=True):
+        assert len(np.unique(call["alphas"], axis=0)) == 1 and np.array_equal(call["alphas"][0], call["next"])
+
+
+def test_the_weights_have_their_turn_where_the_search_brings_no_more(tmp_path):
+    """A policy that does not look: no offset moves it, so the weights have to, and take it all the way."""
+    settings = config(learner="search", patience=2, search=SearchConfig(batch_size=8), path_budget=5_000)
+    transfer = transfer_of(tmp_path / "run", settings, Toy(), targets=TARGETS[:1])
+    blind = expert()[0].parameters.copy()
+    blind[:8], blind[-2] = 0.0, wanted(SOURCE.alpha)
+    blind[8:16] = 0.0
+    transfer.pending[0].policy.set_parameters(blind)
+    transfer.meta_evolve()
+    turns = [r["learner"] for r in records(transfer, "update")]
+    assert turns[0] == "search" and set(turns) == {"search", "npg"} and not records(transfer, "budget")
+    assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
+
+
+def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
+    """After `patience` measurements without a better one the policy is the one that was measured best, bit for bit."""
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=2), Toy())
+    (branch,) = transfer.pending
+    branch.begin_phase(np.full(3, 0.03))
+    first = branch.policy.copy()
+    assert transfer.keep_best(branch, 0.4) == "training"
+    for success in (0.3, 0.2):
+        branch.policy.set_parameters(branch.policy.parameters + 0.01)
+        outcome = transfer.keep_best(branch, success)
+    assert outcome == "training" and branch.turn == "weights", "the search's turn is over"
+    np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
+    assert transfer.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
+
+
+def test_a_spent_budget_leaves_the_best_policy(tmp_path):
+    """What arrives is what was measured best on its target, not what came last."""
+    measured = []
+
+    def watch(record, branch):
+        if record["event"] == "check" and branch.next_alpha is None:
+            measured.append((record["success"], branch.policy.copy()))
+
+    settings = config(learner="search", kind="direct", path_budget=400, patience=50, goal=1.0, search=SearchConfig(batch_size=8, reuse=8))
+    toy = Toy()
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (seed % 5 == 0), seed)  # so the goal is out of reach
+    transfer = transfer_of(tmp_path / "run", settings, toy, targets=[Terminal("near", np.array([0.2, 0.1, 0.0]))], report=watch)
+    transfer.meta_evolve()
+    assert records(transfer, "budget") and len({success for success, _ in measured}) > 2
+    best = max(success for success, _ in measured)
+    assert any(success == best and np.array_equal(policy.layers().shift, transfer.arrived["near"].layers().shift)
+               for success, policy in measured)  # fmt: skip
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])
+def test_a_search_killed_in_a_rollout_and_resumed_is_the_same_run(tmp_path, searched, share):
+    whole, toy, _, _ = searched
+    kill = int(share * len(toy.calls))
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", SEARCH, Toy(kill_after=kill), native=natives()).meta_evolve()
+    resumed = transfer_of(tmp_path / "run", SEARCH, Toy(), resume=True, native=natives())
+    resumed.meta_evolve()
+    assert_same_end(resumed, whole)
+
+
+@pytest.mark.parametrize("settings", [SEARCH, config(learner="search", patience=1, search=SearchConfig(batch_size=8), path_budget=200)])
+def test_a_search_killed_again_and_again_is_the_same_run(tmp_path, settings):
+    """With little patience the turns and the best policy of a phase matter at every kill."""
+    whole = transfer_of(tmp_path / "whole", settings, Toy(), native=natives())
+    whole.meta_evolve()
+    sittings = 0
+    while True:
+        transfer = transfer_of(tmp_path / "run", settings, Toy(kill_after=12), resume=sittings > 0, native=natives())
+        try:
+            transfer.meta_evolve()
+            break
+        except Killed:
+            sittings += 1
+            assert sittings < 400, "the run does not get anywhere"
+    assert sittings > 3
+    assert_same_end(transfer, whole)
+
+
+def test_a_target_that_holds_already_leaves_the_tree_at_once(tmp_path):
+    """Its branch begins on it, and costs no training; the others go on from where the policy stood."""
+    toy = Toy()
+    near = Terminal("near", np.array([0.3, 0.0, 0.43]))  # wants what the source wants
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), toy, targets=[TARGETS[0], near])
+    transfer.meta_evolve()
+    paths = {transfer.routes[path][-1]: path for path in transfer.costs}
+    assert transfer.costs[paths["near"]].sim_epochs == 0 and transfer.costs["path 1"].sim_epochs == 0
+    (moved,) = [r for r in records(transfer, "moved") if r["path"] == paths["near"]]
+    assert not moved["trained"] and moved["distance"] == 0
+    begins = [call["alpha"] for call in toy.calls if call["path"] == paths["left"]]
+    np.testing.assert_array_equal(begins[0], SOURCE.alpha)
+    assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
+
+
+def test_a_look_at_the_unmodified_robot_can_end_a_path_at_once(tmp_path):
+    """F(beta) wants something else than the source; the native robot does not, and is looked at first."""
+    native = Toy()
+    native.one = lambda actor, alpha, seed: Toy.one(native, actor, SOURCE.alpha, seed)
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(learner="search", native=True), toy, targets=TARGETS[:1], native={"left": native})
+    transfer.meta_evolve()
+    assert not toy.calls and {call["stage"] for call in native.calls} == {"settle"} and not native.of(training=True)
+    assert [r["event"] for r in records(transfer)] == ["look", "moved", "check", "arrived"]
+
+
+class Valley(Toy):
+    """Robots between a tenth and nine tenths of the way to the target want something else than both ends do."""
+
+    def one(self, actor, alpha, seed):
+        inside = 0.1 < float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha)) < 0.9
+        return super().one(actor, np.array([0.5, 0.0, 0.0]) if inside else SOURCE.alpha, seed)
+
+
+@pytest.mark.parametrize("learner", ["npg", "search"])
+def test_success_need_not_be_monotone_along_a_way(tmp_path, learner):
+    """A policy that is already behind the robots that it could not master goes on from there, however short its last step was."""
+    toy = Valley()
+    transfer = transfer_of(tmp_path / "run", config(learner=learner, path_budget=500), toy, targets=TARGETS[:1])
+    transfer.pending[0].stride = 0.05
+    transfer.meta_evolve()
+    assert not toy.of(training=True), f"{len(toy.of(training=True))} batches were trained on a way that needs none"
+    assert error_at(transfer.arrived["left"], SOURCE.alpha) < TOLERANCE
+
+
+def test_a_search_needs_something_to_explore(tmp_path):
+    with pytest.raises(ToolkitError, match="declare one in the task"):
+        Transfer(config(learner="search"), SOURCE, TARGETS, *expert(), Toy(), {}, Run.create(tmp_path / "run", {}))
+
+
+def test_the_search_goes_with_adaptive_steps():
+    with pytest.raises(ToolkitError, match="give learner 'npg' for fixed ones"):
+        TransferConfig(learner="search", step="fixed")
 
 
 # -- refused -------------------------------------------------------------------------------------------------
@@ -787,4 +1021,5 @@ def test_metrics_are_strict_json(finished):
     text = (transfer.run.path / "metrics.jsonl").read_text()
     assert "NaN" not in text and "Infinity" not in text
     events = {json.loads(line)["event"] for line in text.splitlines()}
-    assert events == {"check", "explore", "moved", "update", "split", "arrived"}
+    assert events - {"look"} == {"check", "explore", "moved", "update", "split", "arrived"}
+    assert ("look" in events) is (transfer.config.step == "adaptive"), "a phase of adaptive steps begins with looks"

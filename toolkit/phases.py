@@ -168,20 +168,20 @@ class Witness:
         self._going: dict[str, Phase] = {}
 
     def saw(
-        self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, policy: GaussianPolicy,
+        self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, policies: Sequence[GaussianPolicy],
         episodes: Sequence[Episode], noise: bool, update: int,
     ) -> None:  # fmt: skip
         """Judge a batch of episodes.
 
         Args:
             path, stage, targets, start: of the branch that plays; start (D,) is where it stands.
-            policy: that played, as it was then.
-            episodes: in the order of their seeds.
-            noise: whether the policy explored.
+            policies: that played, one per episode, as they were then.
+            episodes: in the order in which they were played.
+            noise: whether the policy explored by noise on its actions.
             update: of the phase.
         """
         phase = self.phase(path, stage, targets, start)
-        for episode in episodes:
+        for policy, episode in zip(policies, episodes, strict=True):
             self._judge(phase, policy, episode, noise, update)
         phase.save(self.run)
 
@@ -203,19 +203,17 @@ class Witness:
 
     def _judge(self, phase: Phase, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> None:
         value = score(episode)
-        known = (episode.seed, noise, update)
-        again = any((t.seed, t.noise, t.update) == known and np.array_equal(t.alpha, episode.alpha) for t in phase.takes)
+        same = next((take for take in phase.takes if self._is(phase, take, policy, episode, noise, update)), None)
         best, worst = phase.take("best"), phase.take("worst")
         roles = ["last"]
-        if not again:
+        if same is None:
             roles += ["first"] if phase.take("first") is None else []
             roles += ["failure"] if not episode.success and phase.take("failure") is None else []
             roles += ["best"] if best is None or value > best.score else []
             roles += ["worst"] if worst is None or value < worst.score else []
         for take in phase.takes:
             take.roles = [role for role in take.roles if role not in roles]
-        if again:
-            same = next(t for t in phase.takes if (t.seed, t.noise, t.update) == known and np.array_equal(t.alpha, episode.alpha))
+        if same is not None:
             same.roles.append("last")
         else:
             index = self._policy(phase, policy)
@@ -224,6 +222,14 @@ class Witness:
                      np.array(episode.alpha), sorted(roles, key=ROLES.index))
             )  # fmt: skip
         self._drop_unused(phase)
+
+    @staticmethod
+    def _is(phase: Phase, take: Take, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> bool:
+        """Whether the take is this episode; a mirrored pair differs in its policies alone."""
+        if (take.seed, take.noise, take.update) != (episode.seed, noise, update) or not np.array_equal(take.alpha, episode.alpha):
+            return False
+        played = phase.policies[take.policy]
+        return np.array_equal(played["parameters"], policy.parameters) and np.array_equal(played["shift"], policy.layers().shift)
 
     @staticmethod
     def _policy(phase: Phase, policy: GaussianPolicy) -> int:

@@ -1,5 +1,6 @@
 """A transfer from names to report: robots, space, tree, expert, training, evaluation, recording, in one run folder."""
 
+import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -7,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from robots.robot import Robot
-from tasks.pick import PickTask
+from tasks.pick import EXPLORED_DEVIATION, PickTask
+from toolkit.branch import Branch
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import Evaluation, evaluate_merged, evaluate_native
+from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.learning.episode import Episode
@@ -22,21 +24,26 @@ from toolkit.phases import Witness
 from toolkit.recording.story import SHARE, Story
 from toolkit.recording.stream import Stream
 from toolkit.runs import Run
+from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
-from toolkit.transfer import Branch, Method, Transfer, TransferConfig
+from toolkit.transfer import Transfer
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
-    "quick": {"transfer": {"path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
+    "quick": {"transfer": {"learner": "search", "exploration": 0.15, "goal": 0.9, "path_budget": 600, "check_episodes": 16,
+                           "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
-    "full": {"transfer": {"path_budget": 15_000}, "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
+    "full": {"transfer": {"learner": "search", "exploration": 0.15, "goal": 0.95, "check_every": 2, "path_budget": 15_000},
+             "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
              "evaluation_episodes": 200},
     # Every number from the paper's table.
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
 }  # fmt: skip
 """Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
+ENOUGH = 0.8
+"""Success on a target from which on a policy has learned it (the paper's 80 %)."""
 
 
 def check_roles(source: Robot, targets: Sequence[Robot]) -> None:
@@ -90,6 +97,8 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
         raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
     values = PRESETS[preset]["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
     values |= {name: value for name, value in overrides.items() if value is not None}
+    if values.get("step") == "fixed" and overrides.get("learner") is None:
+        values["learner"] = "npg"  # the search goes with adaptive steps
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 
@@ -135,7 +144,7 @@ class Pipeline:
     ) -> None:
         policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
-        self.job, self.watch = job, watch
+        self.job, self.watch, self.expert = job, watch, policy.copy()
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
@@ -143,7 +152,8 @@ class Pipeline:
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
-        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw)
+        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
+                                 EXPLORED_DEVIATION)  # fmt: skip
         if resume:
             self.transfer.restore()
         self.run.write_json("tree", self.tree.to_json())
@@ -157,11 +167,12 @@ class Pipeline:
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
         try:
+            untrained = self._untrained()
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():
                 policy.save(self.run.path / f"{name}{POLICY_FILE}")
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
-            report = self._report(evaluations)
+            report = self._report(untrained, evaluations)
             self.run.write_json("report", report)
             self.run.write_summary(summary(report, self.tree))
             self.story.summary(summary(report, self.tree))
@@ -172,9 +183,9 @@ class Pipeline:
 
     # ---- what is seen on the way -------------------------------------------------------------------------------
 
-    def _saw(self, branch: Branch, episodes: list[Episode], noise: bool) -> None:
+    def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
         """Remember the episodes worth seeing."""
-        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, branch.policy, episodes, noise, branch.updates)
+        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise, branch.updates)
 
     def _seen(self, record: dict[str, Any], branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
@@ -191,6 +202,18 @@ class Pipeline:
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 
+    def _untrained(self) -> dict[str, Any]:
+        """The expert on every unmodified target before any training: whether evolution is needed at all. A resumed run reads it."""
+        file = self.run.path / "untrained.json"
+        if file.is_file():
+            return json.loads(file.read_text(encoding="utf-8"))
+        episodes, found = self.job.evaluation_episodes, {}
+        for robot in self.job.targets:
+            found[robot.name] = evaluate_compiled(self.expert, robot, self.job.task, episodes).to_json()
+            self.watch({"event": "untrained", **found[robot.name]})
+        self.run.write_json("untrained", found)
+        return found
+
     def _evaluate(self, name: str, policy: GaussianPolicy) -> dict[str, Evaluation]:
         robot = next(robot for robot in self.job.targets if robot.name == name)
         episodes = self.job.evaluation_episodes
@@ -200,10 +223,11 @@ class Pipeline:
             "native": evaluate_native(policy, robot, self.job.task, episodes),
         }
 
-    def _report(self, evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
+    def _report(self, untrained: dict[str, Any], evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
         costs = self.transfer.costs
         total = lambda key: sum(getattr(cost, key) for cost in costs.values())  # noqa: E731
         return {
+            "untrained": untrained,
             "targets": {name: {env: e.to_json() for env, e in both.items()} for name, both in evaluations.items()},
             "train_iterations": {path: cost.train_iterations for path, cost in costs.items()},
             "sim_epochs": {path: cost.sim_epochs for path, cost in costs.items()},
@@ -211,12 +235,13 @@ class Pipeline:
             "diverged": {path: cost.diverged for path, cost in costs.items()},
             "routes": self.transfer.routes,
             "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
-            "wall_s": self.transfer.seconds,
-            "time": self.transfer.spent | {"outside_playing": outside_playing(self.transfer.spent)},
+            "wall_s": self.transfer.sampler.seconds,
+            "time": self.transfer.sampler.spent | {"outside_playing": outside_playing(self.transfer.sampler.spent)},
             "seed": self.job.transfer.seed,
             "kind": self.job.transfer.kind,
             "metric": self.job.transfer.metric,
             "step": self.job.transfer.step,
+            "learner": self.job.transfer.learner,
             "path": self.job.transfer.path,
             "source": self.job.source.name,
             "task": self.job.task.name,
@@ -228,18 +253,29 @@ def outside_playing(spent: dict[str, float]) -> float:
     return 1.0 - spent["play_s"] / max(spent["wall_s"], 1e-9)
 
 
+def _rate(evaluation: dict[str, Any]) -> str:
+    return f"{evaluation['successes']} of {evaluation['episodes']}"
+
+
+def _needed(untrained: dict[str, Any]) -> list[str]:
+    """A sentence per outcome: where the expert does without evolution, and where it does not."""
+    without = [name for name, found in untrained.items() if found["success_rate"] >= ENOUGH]
+    needed = [name for name in untrained if name not in without]
+    return [f"Evolution {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
+            for verb, names in (("was", needed), ("was not", without)) if names]  # fmt: skip
+
+
 def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     """The report as Markdown, for people."""
     lines = [
         f"# {report['source']} to {', '.join(report['targets'])}: {report['task']}", "",
-        "| target | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|",
+        "| target | direct, untrained | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for name, both in report["targets"].items():
         low, high = both["native"]["ci95"]
-        lines.append(
-            f"| {name} | {both['native']['successes']} of {both['native']['episodes']} | {low:.2f} to {high:.2f} "
-            f"| {both['merged']['successes']} of {both['merged']['episodes']} |"
-        )
+        cells = (name, _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", *_needed(report["untrained"])]
     lines += ["", "| path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|"]
     for path, route in report["routes"].items():
         name = f"{path}: {' to '.join(route)}"

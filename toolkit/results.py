@@ -1,7 +1,8 @@
 """Results: tables and pictures of a suite of transfer runs, from their run folders alone.
 
-    read_result    one run folder -> Result
-    write_results  all runs of a suite -> one Markdown page and its pictures
+    read_result     one run folder -> Result
+    write_results   all runs of a suite -> one Markdown page and its pictures
+    results_json    the same figures as JSON values
 
 No number is typed: all come from report.json, tree.json and metrics.jsonl, but for the paper's own, which are cited.
 """
@@ -16,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import Waypoint
+from toolkit.evaluation import Evaluation, Waypoint
 from toolkit.runs import Run
 
 PAPER = {
@@ -26,6 +27,8 @@ PAPER = {
 """Mean and standard deviation over five seeds: the paper's table "One-to-three policy transfer experiment results on
 DexYCB manipulation task" (Liu et al. 2024, appendix on real commercial robots; targets Jaco, Kinova3, IIWA)."""
 COSTS = ("train_iterations", "sim_epochs", "check_episodes")
+COMPARED = ("train_iterations", "sim_epochs")
+"""Costs of which the paper gives a ratio of trees to independent paths."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class Result:
 
     @property
     def method(self) -> str:
-        """What distinguishes this run from others but for its seed: tree, metric, step, preset's schedule and targets."""
+        """What distinguishes this run from others but for its seed: tree, metric, step, path and learner."""
         report = self.report
         kind = {"steiner": "tree", "geometric-median": "one meta robot"}.get(report["kind"], report["kind"])
         metric = f", {report['metric'].upper()}" if self.shares else ""
@@ -63,7 +66,8 @@ class Result:
     def _steps(self) -> str:
         length = f" of {self.config['transfer']['xi']:g}" if self.report["step"] == "fixed" else ""
         bent = ", optimised path" if self.report["path"] == "optimised" else ""
-        return f"{self.report['step']} step{length}{bent}"
+        learner = ", search" if self.report.get("learner", "npg") == "search" else ""
+        return f"{self.report['step']} step{length}{bent}{learner}"
 
     @property
     def task(self) -> str:
@@ -163,6 +167,43 @@ def write_results(folder: Path, title: str, command: str) -> Path:
     return page
 
 
+def results_json(runs: Sequence[Result]) -> dict[str, Any]:
+    """The figures of the page as JSON values.
+
+    Returns:
+        rows: per method, task and targets: costs as mean and standard deviation over the seeds (sd None for one seed), and success on the
+            unmodified robots over all seeds with its 95 % interval (Wilson).
+        ratios: per tree with independent paths to the same targets on the same terms, how many times cheaper its mean is.
+    """
+    rows, ratios = [], []
+    for (method, task, _), group in _groups(runs).items():
+        first = group[0]
+        targets = first.config["targets"]
+        costs = {key: [run.report["totals"][key] for run in group] for key in COSTS}
+        rows.append({"method": method, "task": task, "targets": targets, "seeds": len(group)}
+                    | {key: _mean_sd(values) for key, values in costs.items()}
+                    | {"success": {target: _pooled(group, target) for target in targets}})  # fmt: skip
+        alone = {key: _alone(first, runs, key) for key in COMPARED} if first.shares else {}
+        if alone and None not in alone.values():
+            ratios.append({"tree": method, "independent": f"independent, {first.terms[-1]}", "task": task, "targets": targets}
+                          | {key: alone[key] / np.mean(costs[key]) if any(costs[key]) else None for key in COMPARED})  # fmt: skip
+    return {"rows": rows, "ratios": ratios}
+
+
+def _mean_sd(values: Sequence[float]) -> dict[str, float | None]:
+    return {"mean": float(np.mean(values)), "sd": float(np.std(values, ddof=1)) if len(values) > 1 else None}
+
+
+def _pooled(runs: Sequence[Result], target: str) -> dict[str, Any] | None:
+    """Success on the unmodified robot over all runs; None where none has been evaluated."""
+    found = [run.report["targets"][target]["native"] for run in runs if target in run.report["targets"]]
+    if not found:
+        return None
+    successes, episodes = (sum(evaluation[key] for evaluation in found) for key in ("successes", "episodes"))
+    pooled = Evaluation(target, "native", episodes, successes, 0, 0)
+    return {"native": pooled.success_rate, "ci95": list(pooled.ci95)}
+
+
 # ---- tables ----------------------------------------------------------------------------------------------------------
 
 
@@ -199,19 +240,23 @@ def sharing_table(runs: Sequence[Result]) -> list[str]:
     lines = ["| run | targets | training iterations | independent | ratio | simulation epochs | independent | ratio |",
              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for run in runs:
-        if not run.shares:
-            continue
-        alike = [r for r in runs if r.report["kind"] == "independent" and r.terms == run.terms]
         cells = []
-        for key in ("train_iterations", "sim_epochs"):
-            found = [[cost for r in alike if (cost := r.cost_to(target, key)) is not None] for target in run.config["targets"]]
-            if not all(found):
+        for key in COMPARED:
+            alone = _alone(run, runs, key)
+            if not run.shares or alone is None:
                 break
-            shared, alone = run.report["totals"][key], sum(np.mean(costs) for costs in found)
+            shared = run.report["totals"][key]
             cells += [str(shared), f"{alone:.0f}", f"{alone / shared:.2f}" if shared else "-"]
         else:
             lines.append(f"| {run.name} | {', '.join(run.config['targets'])} | {' | '.join(cells)} |")
     return lines
+
+
+def _alone(run: Result, runs: Sequence[Result], key: str) -> float | None:
+    """What independent paths on the run's terms cost to all of its targets, means over their seeds; None if one was not gone."""
+    alike = [r for r in runs if r.report["kind"] == "independent" and r.terms == run.terms]
+    found = [[cost for r in alike if (cost := r.cost_to(target, key)) is not None] for target in run.config["targets"]]
+    return float(sum(np.mean(costs) for costs in found)) if all(found) else None
 
 
 def path_table(runs: Sequence[Result]) -> list[str]:

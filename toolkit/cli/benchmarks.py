@@ -32,13 +32,14 @@ class Entry:
     episodes: int = 20
     expert: str | None = None
     exploration: float | None = None
+    learner: Literal["search", "npg"] | None = None
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
         from toolkit.pipeline import Job, transfer_config
 
         overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
-                     "exploration": self.exploration}
+                     "learner": self.learner, "exploration": self.exploration}
         config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)
         return Job(find_robot("adroit"), robots, find_task(self.task), config, self.episodes, self.expert)
@@ -115,7 +116,8 @@ def bench_transfer(
         preset: of every run, as in transfer.
         out: folder of the run folders; the page is <out>.md.
         play: --no-play only rebuilds the page.
-        json: print one JSON object: the reports of all finished runs.
+        json: print one JSON object of all finished runs: rows (cost and success per method, task and targets, over seeds) and ratios (each
+            tree beside the independent paths to its targets).
     """
     if suite not in SUITES:
         raise ToolkitError(f"suite {suite!r} is unknown; there are: {', '.join(SUITES)}")
@@ -124,11 +126,11 @@ def bench_transfer(
         raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(SUITES[suite])}")
     if play:
         _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
-    from toolkit.results import finished_runs, write_results
+    from toolkit.results import finished_runs, results_json, write_results
 
     command = f"meta-evolve bench transfer --suite {suite}"
     page = write_results(out, "Results on unmodified robosuite robots", command)
-    emit({run.name: run.report for run in finished_runs(out)}, json, f"{page}: the table and its pictures")
+    emit(results_json(finished_runs(out)) if json else None, json, f"{page}: the table and its pictures")
 
 
 def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> None:

@@ -101,6 +101,10 @@ class Progress:
             if record["event"] == "preparing":
                 self.show("preparing", f"measuring and merging {', '.join(record['robots'])}", now=True)
                 return
+            if record["event"] == "untrained":
+                detail = f"{record['successes']} of {record['episodes']} succeed on the unmodified robot"
+                self.show(f"direct, untrained, on {record['target']}", detail, now=True)
+                return
             if record["event"] == "evaluating":
                 detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
                 self.show(f"evaluating {record['target']}", detail, now=True)

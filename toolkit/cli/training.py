@@ -99,6 +99,7 @@ def transfer(
     xi: float | None = None,
     budget: int | None = None,
     expert: str | None = None,
+    learner: Literal["search", "npg"] | None = None,
     exploration: float | None = None,
     seed: int = 0,
     preset: str = "quick",
@@ -108,6 +109,8 @@ def transfer(
     json: bool = False,
 ) -> None:
     """Transfer the source expert to every target along the evolution tree, then evaluate on the unmodified robots.
+
+    First of all the expert plays on every target as it is ("direct, untrained"): where it succeeds, no evolution is needed.
 
     Writes logs/<run>/: config, tree, metrics, checkpoints, recording.rrd, policies, report. Ctrl-C leaves a run that
     --resume continues to the same result.
@@ -125,6 +128,8 @@ def transfer(
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
         expert: another policy of the source than the one shipped for the task: a shipped expert's name, or the files of your own
             without their endings, as EXPERTS/adroit-061_foam_brick-wide-recordings.
+        learner: npg (the natural policy gradient on the weights alone, as in the paper), or search: first an offset of what the policy
+            sees, held for an episode, and the weights where that brings no more; default: the preset's.
         exploration: standard deviation of the action's noise when the transfer begins; default: the expert's own.
         seed: of everything random.
         preset: quick (minutes), full, or paper (every number from the paper's table).
@@ -136,7 +141,8 @@ def transfer(
     robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
     from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
-    config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, exploration=exploration)
+    config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
+                             exploration=exploration)  # fmt: skip
     if episodes is not None and episodes < 1:
         raise ToolkitError(f"episodes is {episodes}; give at least 1")
     bent = "" if path == "straight" else f"{path}-"

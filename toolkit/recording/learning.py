@@ -51,6 +51,8 @@ class LearningPage:
             self._wall[path] = self._wall.get(path, 0.0) + max(0.0, seconds - self._before)
             self._before = seconds
         values = {key: record.get(key) for key in CURVES} | {"wall": self._wall.get(path)}
+        if record["event"] == "explore" or (record["event"] == "look" and not record["held"]):
+            values["success"] = None  # with noise, or on a robot that nothing trains for
         for key, value in values.items():
             if value is not None:
                 row = np.full(len(self.paths), np.nan)

@@ -26,8 +26,8 @@ from toolkit.recording.story import Cost, Story, story_layout
 from toolkit.recording.stream import FILM, Stream
 from toolkit.recording.viewer import reader_of
 from toolkit.runs import Run
+from toolkit.settings import CHECKING_SEEDS
 from toolkit.simulation.plant import Plant, merged_plant
-from toolkit.transfer import CHECKING_SEEDS
 
 POLL = 1.0
 """[s] between two looks at a running transfer's folder."""

@@ -118,7 +118,7 @@ class Story:
             state["targets"] = record["targets"].split()
             parent = self._paths.get(record.get("parent", ""), {})
             state["success"] = parent.get("success")
-        if record["event"] == "check":
+        if record["event"] == "check" or (record["event"] == "look" and record["held"]):
             state["success"] = record["success"]
         self.learning.add(self.iteration, record)
         if record["event"] in ("moved", "arrived"):

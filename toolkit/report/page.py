@@ -95,7 +95,7 @@ def walked_edges(plan: Plan, records: Sequence[dict[str, Any]], phases: dict[str
         targets.setdefault(path, every)
         if record["event"] == "split":
             targets[path] = record["targets"].split()
-        if record["event"] == "check" and record["stage"] == "evolve":
+        if (record["event"] == "check" or (record["event"] == "look" and record["held"])) and record["stage"] == "evolve":
             success[path] = record["success"]
         if record["event"] == "moved":
             moved.add(path)

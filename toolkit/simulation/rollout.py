@@ -143,10 +143,14 @@ class _Engine:
         return Divergence(seed=episode.seed, alpha=episode.alpha, state=state, command=command, goal=plant.goal,
                           actions=episode.actions, **self._scene())  # fmt: skip
 
-    def play(self, actor: Actor, alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
-        """One episode per (alpha (D,), seed), in order; the first that diverges is dumped, if the engine has none yet."""
+    def play(self, actor: Actor | Sequence[Actor], alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
+        """One episode per (alpha (D,), seed), in order, of one actor or of one actor each.
+
+        The first episode that diverges is dumped, if the engine has none yet.
+        """
         began = time.perf_counter()
-        played = list(self._pool.map(lambda pair: self._one(actor, *pair), zip(alphas, seeds, strict=True)))
+        actors = actor if isinstance(actor, Sequence) else [actor] * len(seeds)
+        played = list(self._pool.map(lambda one: self._one(*one), zip(actors, alphas, seeds, strict=True)))
         self.episodes_played += len(played)
         self.play_seconds += time.perf_counter() - began
         first = next((divergence for _, divergence in played if divergence is not None), None)

@@ -1,0 +1,131 @@
+"""A policy on its way to the targets that share it, and what the way has cost."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from toolkit.learning.exploration import Trials
+from toolkit.learning.policy import (
+    GaussianPolicy,
+    ValueFunction,
+    learner_tensors,
+    load_learner,
+    load_network,
+    network_tensors,
+)
+
+
+@dataclass
+class Cost:
+    """What a path has cost so far (paper's counting).
+
+    Attributes:
+        train_iterations: policy updates.
+        sim_epochs: training episodes.
+        check_episodes: episodes that only measured success; listed apart.
+        diverged: episodes whose simulation blew up.
+    """
+
+    train_iterations: int = 0
+    sim_epochs: int = 0
+    check_episodes: int = 0
+    diverged: int = 0
+
+
+@dataclass
+class Branch:
+    """A policy on its way to the targets that share it.
+
+    Attributes:
+        path: "path 1", "path 2", ...: a new one after every split, as the paper counts.
+        alpha: (D,) where it is.
+        targets: names still to be reached.
+        policy, value: the learner's state.
+        next_alpha: (D,) robot being trained for, None between phases.
+        window: share of the segment [alpha, next_alpha] from which training robots are drawn; it closes to 0.
+        stride: length of the last step that worked; the adaptive step starts from twice of it.
+        noise: share of the exploration's standard deviation that the policy bears.
+        updates: updates in this phase.
+        stage: "evolve" on the tree, "settle" on the native robot.
+        looked: whether this policy has looked along the way from here, and not moved by training since.
+        turn: whose turn it is in this phase: "offset" (the search) or "weights" (NPG).
+        turns: that have ended in this phase.
+        idle: measurements of this turn since a better success was seen.
+        deviation: (n_obs,) of the search's offsets, in the unit of each entry; None before a phase's first.
+        trials: of the search in this phase, on the robot that it trains for.
+        best_success: the best that was measured in this phase on the robot it trains for.
+        best: the policy that had it.
+    """
+
+    path: str
+    alpha: np.ndarray
+    targets: list[str]
+    policy: GaussianPolicy
+    value: ValueFunction
+    next_alpha: np.ndarray | None = None
+    window: float = 1.0
+    stride: float = math.inf
+    noise: float = 1.0
+    updates: int = 0
+    stage: Literal["evolve", "settle"] = "evolve"
+    looked: bool = False
+    turn: Literal["offset", "weights"] = "offset"
+    turns: int = 0
+    idle: int = 0
+    deviation: np.ndarray | None = None
+    trials: Trials | None = None
+    best_success: float = 0.0
+    best: GaussianPolicy | None = None
+
+    def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
+        """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
+        self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
+        self.turn, self.turns, self.idle, self.best_success, self.best = "offset", 0, 0, 0.0, None
+        self.deviation = self.trials = None
+
+    def tensors(self, prefix: str) -> dict[str, np.ndarray]:
+        """Its arrays, for a checkpoint; keys begin with the prefix."""
+        found = {f"{prefix}.alpha": self.alpha} | learner_tensors(prefix, self.policy, self.value)
+        for name in ("next_alpha", "deviation"):
+            if getattr(self, name) is not None:
+                found[f"{prefix}.{name}"] = getattr(self, name)
+        if self.trials is not None:
+            found |= {f"{prefix}.trials.{name}": array for name, array in vars(self.trials).items()}
+        return found if self.best is None else found | network_tensors(f"{prefix}.best", self.best)
+
+    def state(self) -> dict[str, Any]:
+        """All else, as JSON values."""
+        return {key: getattr(self, key) for key in _PLAIN} | {"stride": None if math.isinf(self.stride) else self.stride}
+
+
+_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "best_success")
+
+
+def stored_branch(
+    tensors: dict[str, np.ndarray], prefix: str, state: dict[str, Any], policy: GaussianPolicy, value: ValueFunction
+) -> Branch:
+    """The branch that ``tensors`` and ``state`` of a Branch describe.
+
+    Args:
+        tensors, prefix: as given out by `Branch.tensors`.
+        state: as given out by `Branch.state`.
+        policy, value: networks of the same sizes, left as they are.
+
+    Raises:
+        ToolkitError: they are of other sizes.
+    """
+    policy, value = policy.copy(), value.copy()
+    load_learner(tensors, prefix, policy, value)
+    best = None
+    if f"{prefix}.best.parameters" in tensors:
+        best = policy.copy()
+        load_network(tensors, f"{prefix}.best", best)
+    kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
+    return Branch(
+        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, next_alpha=tensors.get(f"{prefix}.next_alpha"),
+        deviation=tensors.get(f"{prefix}.deviation"), best=best,
+        trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
+        **{key: state[key] for key in _PLAIN if key in state},
+    )  # fmt: skip

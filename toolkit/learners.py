@@ -1,0 +1,153 @@
+"""The two ways in which a branch's policy gets better: its weights by NPG, what it sees by a search.
+
+    WeightLearner   the paper's: noise on the actions, robots from a window, natural policy gradient on all weights
+    OffsetLearner   an offset of a few observations, held for an episode, on the next robot itself
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from toolkit.branch import Branch
+from toolkit.errors import ToolkitError
+from toolkit.evolution import Terminal
+from toolkit.learning.exploration import Trials, mirrored, natural_step, shifted
+from toolkit.learning.npg import Demonstrations, npg_step
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.sampling import LOOK, Player, Sampler, mean_of
+from toolkit.settings import DEMONSTRATION_SEEDS, TransferConfig
+
+
+class WeightLearner:
+    """Natural policy gradient on the weights.
+
+    Args:
+        config: see TransferConfig.
+        sampler: plays and counts.
+        engine: plays the expert's demonstrations.
+        source: where the expert shows what it does.
+        expert: the source's policy, a copy of its own.
+    """
+
+    def __init__(self, config: TransferConfig, sampler: Sampler, engine: Player, source: Terminal, expert: GaussianPolicy) -> None:
+        self.config, self.sampler, self._engine, self._source, self._expert = config, sampler, engine, source, expert
+        self._shown: Demonstrations | None = None
+
+    def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> None:
+        """One update, on robots drawn from the part of the segment from branch.alpha to ``alpha`` (D,) that the window leaves open."""
+        cost, sampler = self.sampler.costs[branch.path], self.sampler
+        size = self.config.npg.batch_size
+        shares = 1.0 - branch.window * sampler.rng.uniform(size=size)
+        alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
+        before = sampler.spent["play_s"]
+        batch = sampler.train(branch, player, alphas, sampler.training_seeds(size))
+        play_seconds = sampler.spent["play_s"] - before
+        shown = self.demonstrations(cost.train_iterations) if self.config.kind == "direct" else None
+        statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, sampler.rng, shown)
+        sampler.spent["learn_s"] += statistics["seconds"]
+        cost.train_iterations += 1
+        branch.window *= self.config.shrink
+        branch.updates += 1
+        sampler.say(
+            "update", branch, learner="npg", train_success=float(np.mean([e.success for e in batch])), window=branch.window,
+            mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
+            kl=statistics["kl"], episodes_per_s=size / play_seconds, play_s=play_seconds,
+            learn_s=statistics["seconds"],
+        )  # fmt: skip
+
+    def calm(self, branch: Branch) -> bool:
+        """Less exploration, if there is any to spare: where the mean action holds, more noise than it bears teaches it to bear noise.
+
+        With ``rouse`` a success rule, as evolution strategies have for the length of their steps (Rechenberg 1973).
+        """
+        return self._explore(branch, max(self.config.calm * branch.noise, self.config.least_noise))
+
+    def rouse(self, branch: Branch) -> bool:
+        """More exploration, never beyond the first: where the mean action fails there is to learn, and steps are as long as the noise."""
+        return self._explore(branch, min(branch.noise / self.config.calm, 1.0))
+
+    def _explore(self, branch: Branch, noise: float) -> bool:
+        """Give the exploration the share ``noise`` of its standard deviation; returns whether it had another one."""
+        if self.config.step == "fixed" or noise == branch.noise:
+            return False
+        branch.policy.set_log_std(branch.policy.log_std + math.log(noise / branch.noise))
+        branch.noise = noise
+        return True
+
+    def demonstrations(self, update: int) -> Demonstrations | None:
+        """What the expert did on the source where it succeeded; a resumed run plays the same again."""
+        if self._shown is None and self.config.demonstrations:
+            seeds = [DEMONSTRATION_SEEDS + i for i in range(self.config.demonstrations)]
+            played = self._engine.play(mean_of(self._expert), [self._source.alpha] * len(seeds), seeds)
+            good = [episode for episode in played if episode.success]
+            if not good:
+                raise ToolkitError(f"the expert fails {len(seeds)} times of {len(seeds)} on {self._source.name}; train it again")
+            observations = np.concatenate([episode.observations for episode in good])
+            self._shown = Demonstrations(observations, np.concatenate([episode.actions for episode in good]))
+        return None if self._shown is None else replace(self._shown, update=update)
+
+
+class OffsetLearner:
+    """Search of an offset of what the policy sees.
+
+    Args:
+        config: see TransferConfig.
+        sampler: plays and counts.
+        deviation: (n_obs,) standard deviation of the offset of each observation when a phase begins, in its unit; 0: not explored.
+
+    Raises:
+        ToolkitError: nothing is to be explored.
+    """
+
+    def __init__(self, config: TransferConfig, sampler: Sampler, deviation: np.ndarray) -> None:
+        if not (deviation > 0).any() or (deviation < 0).any():
+            raise ToolkitError("the search has no observation to explore, or a negative deviation; declare one in the task, or take "
+                               "learner 'npg'")  # fmt: skip
+        self.config, self.sampler, self.deviation = config, sampler, deviation
+        self._entries = np.flatnonzero(deviation)
+
+    def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> bool:
+        """One update on the robot ``alpha`` (D,).
+
+        Mirrored offsets of a pair play the same start, so that a pair's difference is the offset's. The first batch of a phase ends after
+        its first episodes if none succeeds.
+
+        Returns:
+            whether it learned; without a success the policy is left alone.
+        """
+        settings, sampler, cost = self.config.search, self.sampler, self.sampler.costs[branch.path]
+        before = sampler.spent["play_s"]
+        if branch.deviation is None:
+            branch.deviation = self.deviation.copy()
+        z = mirrored(settings.batch_size // 2, len(self._entries), sampler.rng)
+        offsets = np.zeros((len(z), len(self.deviation)))
+        offsets[:, self._entries] = z * branch.deviation[self._entries]
+        seeds = np.repeat(sampler.training_seeds(len(z) // 2), 2).tolist()
+        policies = [shifted(branch.policy, offset) for offset in offsets]
+        batch = []
+        for part in (slice(0, LOOK), slice(LOOK, None)) if branch.updates == 0 else (slice(None),):
+            if seeds[part] and (not batch or any(episode.success for episode in batch)):
+                batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])
+        success = np.array([episode.success for episode in batch], float)
+        centre, deviation = np.array(branch.policy.layers().shift[self._entries]), branch.deviation[self._entries]
+        seen = branch.trials or Trials.none(len(self._entries))
+        branch.trials = seen.add(centre + offsets[: len(batch), self._entries], centre, deviation, success, settings.reuse)
+        learned = bool(branch.trials.success.any())
+        if learned:
+            mean, spread = natural_step(branch.trials, centre, deviation, settings.prior)
+            step = np.zeros_like(self.deviation)
+            step[self._entries] = deviation * mean
+            branch.policy = shifted(branch.policy, step)
+            declared = self.deviation[self._entries]
+            branch.deviation[self._entries] = np.clip(
+                deviation * np.exp(settings.deviation_rate * spread), settings.narrowest * declared, settings.widest * declared
+            )
+            cost.train_iterations += 1
+        branch.updates += 1
+        play_seconds = sampler.spent["play_s"] - before
+        sampler.say("update", branch, learner="search", train_success=float(success.mean()), learned=learned,
+                    width=float((branch.deviation[self._entries] / self.deviation[self._entries]).mean()),
+                    mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
+                    episodes_per_s=len(batch) / play_seconds, play_s=play_seconds)  # fmt: skip
+        return learned

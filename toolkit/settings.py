@@ -1,0 +1,112 @@
+"""What determines a transfer: TransferConfig, and the seeds that its episodes take."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from toolkit.errors import ToolkitError
+from toolkit.evolution import KINDS, METRICS, Kind, Metric
+from toolkit.learning.exploration import SearchConfig
+from toolkit.learning.npg import NpgConfig
+
+Method = Kind | Literal["direct"]
+METHODS: tuple[Method, ...] = (*KINDS, "direct")
+PATHS = ("straight", "optimised")
+Learner = Literal["search", "npg"]
+LEARNERS: tuple[Learner, ...] = ("search", "npg")
+
+TRAINING_SEEDS = 10**6
+"""Training episodes take their seeds below this number."""
+CHECKING_SEEDS = 2 * 10**6
+"""The schedule measures success on seeds from here on: the same for every robot (common random numbers), none trained."""
+DEMONSTRATION_SEEDS = 6 * 10**6
+"""What the expert shows on the source is played on seeds from here on."""
+
+
+@dataclass(frozen=True)
+class TransferConfig:
+    """What determines a transfer; "paper" marks values of its hyperparameter table."""
+
+    kind: Method = "steiner"
+    """Evolution tree: "steiner", "geometric-median" (one meta robot) or "independent" (one path per target: HERD, REvolveR).
+    "direct" has no evolution: the expert is trained on every target itself from the start, pulled by what it did on the
+    source (DAPG)."""
+    metric: Metric = "l1"
+    """Distance between robots."""
+    seed: int = 0
+    """Of everything random."""
+    step: Literal["adaptive", "fixed"] = "adaptive"
+    """"fixed": steps of length xi (paper). "adaptive": the farthest robot on which the policy still holds."""
+    xi: float = 0.03
+    """Evolution step, L2 (paper); adaptive: the shortest step tried."""
+    path: Literal["straight", "optimised"] = "straight"
+    """"straight": to the meta robot (REvolveR). "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
+    pull: float = 1.0
+    """Weight lambda of the meta robot in the direction of an optimised path (paper)."""
+    demonstrations: int = 12
+    """Episodes of the expert on the source whose successes pull the updates of "direct"; 0: none. Not counted, as given data."""
+    jacobian_episodes: int = 72
+    """Robots sampled, at distance xi, for the Jacobian of the expected return; one training episode each (paper)."""
+    learner: Learner = "npg"
+    """"npg": the natural policy gradient on the weights alone (paper). "search": first an offset of what the policy sees, held for an
+    episode and moved to what succeeds; the weights' turn comes where that brings no more (adaptive steps only)."""
+    patience: int = 3
+    """Search: measurements in a phase without a better success after which the other learner's turn comes, or the step is halved."""
+    exploration: float | None = None
+    """Standard deviation of every action's noise when the transfer begins, which training then changes; None: the expert's own."""
+    threshold: float = 2 / 3
+    """Success rate of the mean action for moving on (paper: 66.7 %)."""
+    noisy_threshold: float = 1 / 2
+    """NPG: success rate under the noise of training for moving on: what trains next learns from such successes."""
+    signal: float = 1 / 8
+    """NPG: success rate under the noise of training from which there is enough to learn from; adaptive: where training begins. The
+    window's other robots are nearer, and succeed more often."""
+    calm: float = 0.8
+    """NPG, adaptive: factor on the noise where the mean action holds and the exploring policy does not; 1: the noise is left to
+    training."""
+    least_noise: float = 1 / 4
+    """NPG, adaptive: share of its first standard deviation below which the noise is not calmed."""
+    goal: float = 0.85
+    """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
+    shrink: float = 0.995
+    """NPG: factor by which the sampling window closes in on the next robot, per update (paper)."""
+    check_episodes: int = 24
+    """Episodes of one measurement of success on the way (upstream: 24)."""
+    goal_episodes: int = 40
+    """Episodes of one measurement of success at a target."""
+    check_every: int = 4
+    """NPG: updates between two measurements in a phase; the search measures after every one."""
+    path_budget: int = 20_000
+    """Simulation epochs after which a path goes on to its end untrained; what it then reaches is measured, not assumed."""
+    native: bool = True
+    """Whether each path ends with the last hop to the unmodified robosuite robot."""
+    npg: NpgConfig = field(default_factory=NpgConfig)
+    """The natural policy gradient."""
+    search: SearchConfig = field(default_factory=SearchConfig)
+    """The search of an offset."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1),
+                                ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):  # fmt: skip
+            value = getattr(self, name)
+            if not low < value <= high:
+                raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
+        if self.exploration is not None and not 0 < self.exploration < math.inf:
+            raise ToolkitError(f"transfer's exploration is {self.exploration}; give a positive number, or none for the expert's own")
+        if not 0 < self.pull < math.inf:
+            raise ToolkitError(f"transfer's pull is {self.pull}; give a positive number")
+        for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0),
+                          ("jacobian_episodes", 2), ("demonstrations", 0), ("patience", 1)):  # fmt: skip
+            if getattr(self, name) < low:
+                raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
+        for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("kind", METHODS), ("metric", METRICS),
+                            ("learner", LEARNERS)):  # fmt: skip
+            if getattr(self, name) not in known:
+                raise ToolkitError(f"transfer's {name} is {getattr(self, name)!r}; there are: {', '.join(known)}")
+        if self.learner == "search" and self.step == "fixed":
+            raise ToolkitError("transfer's learner is 'search', which goes with adaptive steps; give learner 'npg' for fixed ones")
+
+    @property
+    def tree_kind(self) -> Kind:
+        """The evolution tree that the method follows; without evolution the targets share nothing."""
+        return "independent" if self.kind == "direct" else self.kind
