@@ -25,6 +25,7 @@ import numpy as np
 from toolkit.errors import ToolkitError
 from toolkit.export import OnnxPolicy, onnx_from_bytes
 from toolkit.manifest import Manifest, read_manifest
+from toolkit.shell import told
 
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"
@@ -76,7 +77,7 @@ def find_bundle(name: str | Path) -> Path:
     if str(name) in shipped:
         return shipped[str(name)]
     listed = f"shipped are: {', '.join(shipped)}" if shipped else "none is shipped with this installation"
-    raise ToolkitError(f"bundle {name} does not exist; {listed}; or write one: meta-evolve export RUN --target T --out {name}")
+    raise ToolkitError(f"bundle {name} does not exist; {listed}; or write one: {told('export', 'RUN', '--target', 'T', '--out', name)}")
 
 
 def shipped_bundles() -> dict[str, Path]:

@@ -9,6 +9,7 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
+from toolkit.shell import told
 
 if TYPE_CHECKING:
     from toolkit.pipeline import Job
@@ -126,7 +127,7 @@ def bench_transfer(
         _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
     from toolkit.results import finished_runs, write_results
 
-    command = f"meta-evolve bench transfer --suite {suite}"
+    command = told("bench", "transfer", "--suite", suite)
     page = write_results(out, "Results on unmodified robosuite robots", command)
     emit({run.name: run.report for run in finished_runs(out)}, json, f"{page}: the table and its pictures")
 
@@ -184,8 +185,8 @@ def bench_engine(
     with Progress("engine", quiet=json) as progress:
         found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
     if page is not None:
-        named = f" --robots {' '.join(robots)}" if robots else ""
-        page.write_text(performance_page(found, f"meta-evolve bench engine{named} --episodes {episodes} --page {page.name}"))
+        named = ["--robots", *robots] if robots else []
+        page.write_text(performance_page(found, told("bench", "engine", *named, "--episodes", episodes, "--page", page.name)))
     if json:
         emit(found, True, "")
         return

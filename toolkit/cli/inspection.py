@@ -9,6 +9,7 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
+from toolkit.shell import told
 
 if TYPE_CHECKING:
     import subprocess
@@ -186,11 +187,15 @@ def _follow_running(known: "Known") -> None:
 
 
 def _wait(process: "subprocess.Popen", text: str) -> None:
+    """Until the viewer is ended, by Ctrl-C or by its window; it is a failure if it ended otherwise."""
     print(text, flush=True)
     try:
-        process.wait()
+        status = process.wait()
     except KeyboardInterrupt:
         process.terminate()
+        return
+    if status:
+        raise ToolkitError(f"the viewer ended by itself with status {status}; see `meta-evolve doctor`")
 
 
 def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str, "Known", str]]:
@@ -244,7 +249,7 @@ def morph(
     shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
         viewer.still([out], still, at, size)
-    print(f"{out}; look at it with: meta-evolve view {out}")
+    print(f"{out}; look at it with: {told('view', out)}")
 
 
 def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, json: bool = False) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from toolkit.errors import ToolkitError
+from toolkit.shell import told
 
 if TYPE_CHECKING:
     from robots.robot import Robot
@@ -77,7 +78,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
             raise ToolkitError(f"target {name!r} is not in {folder}; it has: {', '.join(content['targets'])}")
         file = folder / f"{name}{POLICY_FILE}"
         if not file.is_file():
-            raise ToolkitError(f"{folder} has no policy for {name!r} yet; finish it with: meta-evolve transfer --run {folder} --resume")
+            raise ToolkitError(f"{folder} has no policy for {name!r} yet; finish it with: {told('transfer', '--run', folder, '--resume')}")
         found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
     return content, found
 

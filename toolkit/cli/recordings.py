@@ -9,6 +9,7 @@ import tyro
 from toolkit.cli.names import find_robot
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
+from toolkit.shell import told
 
 if TYPE_CHECKING:
     from toolkit.recordings import Demonstration, Studio
@@ -53,7 +54,7 @@ def make(
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     content = {"root": str(out), "recordings": names, "bytes": size, "synthetic": True}
     emit(content, json, f"{len(names)} synthetic recordings, {size / 1e6:.1f} MB, in {out}; look at them with: "
-                        f"meta-evolve recordings list {out}")  # fmt: skip
+                        + told("recordings", "list", out))  # fmt: skip
 
 
 @recordings.command(name="list")

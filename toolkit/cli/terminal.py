@@ -1,9 +1,77 @@
 """What a command prints: JSON or text, tables, progress."""
 
 import json
+import os
 import sys
-from collections.abc import Sequence
-from typing import Any
+import unicodedata
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+
+class Outlet:
+    """Standard output or error, whose loss ends no command: what is printed once it is lost is dropped.
+
+    A reader that has gone (`| head`) wants no more; a full disk is told by the exit status. Neither undoes what the command does.
+
+    Args:
+        stream: the text stream.
+
+    Attributes:
+        lost: why nothing can be written any more; None while it can.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.lost: OSError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """As of a text stream, but for errors."""
+        if self.lost is None:
+            try:
+                self._stream.write(text)
+            except OSError as error:
+                self._lose(error)
+        return len(text)
+
+    def flush(self) -> None:
+        """As of a text stream, but for errors."""
+        if self.lost is None:
+            try:
+                self._stream.flush()
+            except OSError as error:
+                self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        self.lost = error
+        try:  # what is still buffered would be tried again, and complained of, when the interpreter ends
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+        except (OSError, ValueError):
+            pass  # a stream without a file of its own, as in a test
+
+
+@contextmanager
+def outlets() -> Iterator[tuple[Outlet, Outlet]]:
+    """Standard output and error as outlets, for the time of a command."""
+    before = sys.stdout, sys.stderr
+    out, err = (Outlet(stream if stream is not None else open(os.devnull, "w")) for stream in before)
+    sys.stdout, sys.stderr = out, err
+    try:
+        yield out, err
+    finally:
+        out.flush()
+        err.flush()
+        sys.stdout, sys.stderr = before
+
+
+def plain(text: str) -> str:
+    """Text with every control and formatting character spelled out, so that a name from a file moves no cursor."""
+    return "".join(c if unicodedata.category(c) not in ("Cc", "Cf", "Zl", "Zp") else c.encode("unicode_escape").decode() for c in text)
 
 
 def emit(content: Any, as_json: bool, text: str) -> None:

@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 from toolkit.errors import ToolkitError
 from toolkit.recording.programs import viewer_program
 from toolkit.recording.stream import FILM
+from toolkit.shell import told
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -23,6 +24,8 @@ WEB_PORT, VIEWER_PORT = 9090, 9876
 STILL_SIZE = "1600x1000"
 STILL_PATIENCE = 180.0
 """[s] that a viewer without a screen may take to show a recording."""
+OPENING = 1.5
+"""[s] within which a viewer that cannot draw here has ended."""
 LOOK = 1.0
 """[s] between two looks at a viewer without a screen; meshes and texts are loaded, frame by frame, when two look the same."""
 
@@ -48,9 +51,19 @@ def recording_of(path: Path) -> Path:
 
 
 def open_window(*files: Path) -> None:
-    """Open a recording, and a layout for it, in a viewer of its own."""
+    """Open a recording, and a layout for it, in a viewer of its own.
+
+    Raises:
+        ToolkitError: it ends at once.
+    """
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, **quiet)
+    process = subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, **quiet)
+    try:
+        process.wait(OPENING)
+    except subprocess.TimeoutExpired:
+        return
+    if process.returncode:
+        raise ToolkitError(f"the viewer ended at once with status {process.returncode}; see `meta-evolve doctor`, or take a picture: --still")
 
 
 def serve(*files: Path) -> tuple[subprocess.Popen, str, str]:
@@ -73,11 +86,17 @@ def serve(*files: Path) -> tuple[subprocess.Popen, str, str]:
 
 
 def follow_window() -> tuple[subprocess.Popen, str]:
-    """A viewer that waits for a stream; returns its process and the address to send to."""
+    """A viewer that waits for a stream; returns its process and the address to send to.
+
+    Raises:
+        ToolkitError: it does not start.
+    """
     port = free_port(VIEWER_PORT)
     command = [str(viewer_program()), "--port", str(port), "--expect-data-soon"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _answers(port, process)
+    if not _answers(port, process):
+        process.terminate()
+        raise ToolkitError(f"the viewer does not start on port {port}; see `meta-evolve doctor`")
     return process, f"rerun+http://127.0.0.1:{port}/proxy"
 
 
@@ -169,7 +188,7 @@ def reader_of(path: Path) -> RrdReader:
     except (RuntimeError, ValueError):
         found = []
     if not found:
-        raise ToolkitError(f"recording {path} is cut off; make it anew with `meta-evolve view {path.parent} --rebuild`")
+        raise ToolkitError(f"recording {path} is cut off; make it anew with `{told('view', path.parent, '--rebuild')}`")
     return reader
 
 
