@@ -63,7 +63,7 @@ def open_window(*files: Path) -> None:
     except subprocess.TimeoutExpired:
         return
     if process.returncode:
-        raise ToolkitError(f"the viewer ended at once with status {process.returncode}; see `meta-evolve doctor`, or take a picture: --still")
+        raise ToolkitError(f"the viewer ended at once with status {process.returncode}; see `meta-evolve doctor`, or save a --still")
 
 
 def serve(*files: Path) -> tuple[subprocess.Popen, str, str]:

@@ -121,6 +121,8 @@ class SimDriver:
         self._asked += 1
         try:
             answer = wire.exchange(self._line, message | {"number": self._asked}, PATIENCE)
+            if "number" not in answer and "error" in answer:
+                raise ToolkitError(f"it sends this client away: {answer['error']}")
             if answer.pop("number", None) != self._asked:
                 raise ToolkitError(f"an answer came to another question; {wire.FOREIGN}")
         except (OSError, ToolkitError) as error:
