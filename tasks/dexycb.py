@@ -13,16 +13,14 @@ becomes text, lists and maps whatever its tags, arrays are read without pickle a
 """
 
 import re
-import struct
-import tokenize
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+
+from tasks.npz import ArrayError, Arrays
 
 YCB_NAMES: tuple[str, ...] = (
     "002_master_chef_can", "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
@@ -49,10 +47,6 @@ LARGEST_YAML = 1 << 20
 """[bytes]"""
 LARGEST_MESH = 1 << 28
 """[bytes]"""
-_BROKEN = (
-    zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, EOFError, ValueError, NotImplementedError, RuntimeError,
-    OSError, KeyError, MemoryError, OverflowError, SyntaxError, TypeError,
-)  # fmt: skip
 _TAGS = {f"tag:yaml.org,2002:{tag}" for tag in ("str", "seq", "map", "int", "float", "python/tuple")}
 
 
@@ -309,63 +303,31 @@ def _rigid(file: Path, key: str, matrix: np.ndarray) -> np.ndarray:
 
 
 class _Arrays:
-    """Arrays of an .npz file: each is checked against what it must be before a byte of it is read."""
+    """An .npz file of a recording, whose errors name it."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        if not file.is_file():
-            raise RecordingError(file, "", "a file", "none")
         try:
-            self._zip = zipfile.ZipFile(file)
-            self._members = set(self._zip.namelist())
-        except _BROKEN as error:
-            raise self._broken("", error) from None
+            self._arrays = Arrays(file)
+        except ArrayError as error:
+            raise self._named(error) from None
 
     def __enter__(self) -> "_Arrays":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._zip.close()
+        self._arrays.__exit__()
 
-    def _broken(self, key: str, error: BaseException) -> RecordingError:
-        why = str(error).split("\n")[0][:80] or type(error).__name__
-        return RecordingError(self.file, key, "a whole .npz file", f"one that is truncated or damaged ({why})")
+    def _named(self, error: ArrayError) -> RecordingError:
+        return RecordingError(self.file, error.key, error.expected, error.found)
 
     def read(self, key: str, shape: tuple[int, ...], kind: str = "f", content: bool = True) -> np.ndarray | None:
         """An array of exactly this shape, finite; kind "f" float32 or float64, "u" uint8. Without ``content`` only its header is
         read."""
-        if f"{key}.npy" not in self._members:
-            known = ", ".join(sorted(member.removesuffix(".npy")[:30] for member in self._members)[:8]) or "nothing"
-            raise RecordingError(self.file, key, "this key", f"only {known}")
         try:
-            with self._zip.open(f"{key}.npy") as stream:
-                version = np.lib.format.read_magic(stream)
-                header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                found, fortran, dtype = header(stream)
-                self._check(key, shape, kind, found, dtype)
-                if not content:
-                    return None
-                size = int(np.prod(shape)) * dtype.itemsize
-                data = stream.read(size)
-                # The end of the member is where its checksum is compared.
-                if len(data) != size or stream.read(1):
-                    raise EOFError("its data are shorter or longer than its header says")
-        except RecordingError:
-            raise
-        except _BROKEN as error:
-            raise self._broken(key, error) from None
-        array = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C").astype(np.float64)
-        if not np.isfinite(array).all():
-            where = np.argwhere(~np.isfinite(array))[0].tolist()
-            raise RecordingError(self.file, key, "finite numbers", f"{array[tuple(where)]} at {where}")
-        return array
-
-    def _check(self, key: str, shape: tuple[int, ...], kind: str, found: tuple[int, ...], dtype: np.dtype) -> None:
-        wanted = ("float32", "float64") if kind == "f" else ("uint8",)
-        if dtype.name not in wanted:
-            raise RecordingError(self.file, key, f"dtype {' or '.join(wanted)}", str(dtype)[:40])
-        if found != shape:
-            raise RecordingError(self.file, key, f"shape {shape}", f"{found}"[:80])
+            return self._arrays.read(key, shape, ("float32", "float64") if kind == "f" else ("uint8",), content=content)
+        except ArrayError as error:
+            raise self._named(error) from None
 
 
 def _poses(file: Path, meta: _Meta) -> np.ndarray:

@@ -85,9 +85,12 @@ def joint(**entries):
 
 NONSENSE = {
     "http": b"GET / HTTP/1.1\r\nHost: twin\r\n\r\n", "tls": bytes.fromhex("16030100f1010000ed0303") + b"x" * 40, "nothing": b"",
-    "half a length": b"\x00\x00", "half a message": struct.pack(">I", 100) + b'{"do": ', "2 GiB": struct.pack(">I", 2**31) + b"x" * 1000,
-    "the longest": framed(b"[" * 2**20), "bad json": framed(b"{nope"), "a list": framed(b"[1, 2]"), "a number": framed(b"17"),
-    "deep": framed(b'{"do":' * 100_000), "not utf-8": framed(b'{"do": "\xff\xfe"}'), "a long number": framed(b'{"do": ' + b"9" * 9000 + b"}"),
+    "half a length": b"\x00\x00", "half a message": struct.pack(">I", 100) + b'{"do": ',
+    "2 GiB": struct.pack(">I", 2**31) + b"x" * 1000,
+    "the longest": framed(b"[" * 2**20), "bad json": framed(b"{nope"), "a list": framed(b"[1, 2]"),
+    "a number": framed(b"17"),
+    "deep": framed(b'{"do":' * 100_000), "not utf-8": framed(b'{"do": "\xff\xfe"}'),
+    "a long number": framed(b'{"do": ' + b"9" * 9000 + b"}"),
     "empty": framed(b""), "zeros": bytes(5000),
 }  # fmt: skip
 """After these the client is sent away."""
@@ -263,7 +266,8 @@ def answering(content):
 FOREIGN = {
     "http": b"HTTP/1.1 400 Bad Request\r\n\r\n", "nothing": b"", "bad json": framed(b"{nope"), "a list": framed(b"[]"),
     "deep": framed(b"[" * 50_000), "no description": asked(number=1), "odd entries": asked(number=1, colour="red"),
-    "names that are none": asked(number=1, robot=3, joints=[1], fingers=[], forms=["osc"], rate_hz="fast"), "late": asked(number=0, robot="kinova3"),
+    "names that are none": asked(number=1, robot=3, joints=[1], fingers=[], forms=["osc"], rate_hz="fast"),
+    "late": asked(number=0, robot="kinova3"),
 }  # fmt: skip
 
 
@@ -275,7 +279,7 @@ def test_what_answers_in_place_of_a_twin_is_named(name):
             SimDriver("127.0.0.1", port).connect()
 
 
-@pytest.mark.parametrize("text", ["5005", "host:", ":5005", "host:0", "host:65536", "host:99999999999999999999", "host:5005x", "host:\u0665"])
+@pytest.mark.parametrize("text", ["5005", "host:", ":5005", "host:0", "host:65536", "host:" + "9" * 20, "host:5005x", "host:\u0665"])
 def test_an_address_that_is_none_is_refused(text):
     with pytest.raises(ToolkitError, match="is no HOST:PORT"):
         _address(text)

@@ -6,7 +6,6 @@
 No number is typed: all come from report.json, tree.json and metrics.jsonl, but for the paper's own, which are cited.
 """
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,8 @@ from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Waypoint
-from toolkit.runs import Run
+from toolkit.jsonfiles import require
+from toolkit.runs import Run, read_report, read_tree, transfer_records
 
 PAPER = {
     "HERD, independent": {"train_iterations": (38437, 2883), "sim_epochs": (185825, 16731)},
@@ -99,19 +99,12 @@ def read_result(folder: Path) -> Result | None:
     Raises:
         ToolkitError: the folder is no run, or one of its files is broken.
     """
-    if not (folder / "report.json").is_file():
+    report = read_report(folder)
+    if report is None:
         return None
     run = Run.open(folder)
-    content = {}
-    for name in ("report", "tree"):
-        file = folder / f"{name}.json"
-        try:
-            content[name] = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise ToolkitError(f"{file} is missing or damaged ({error}); finish the run again with --resume") from None
-    git = folder / "git.json"
-    commit = (json.loads(git.read_text()) or {}).get("commit", "unknown") if git.is_file() else "unknown"
-    return Result(folder.name, run.config, content["report"], content["tree"], run.read_metrics(), commit)
+    require(run.config, {"transfer": {"xi": float}}, str(folder / "config.json"), "start the run again under another --run")
+    return Result(folder.name, run.config, report, read_tree(folder), transfer_records(run), run.commit())
 
 
 def finished_runs(folder: Path) -> list[Result]:

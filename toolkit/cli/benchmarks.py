@@ -389,3 +389,43 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
     table(f"A tick of {loaded.manifest.robot.name}: medians of its parts and the whole, in ms; load {load:.1f}",
           ["form", "observe", "policy", "command", "half below", "99 % below", "longest"],
           [[form, *(f"{value:.2f}" for value in row.values())] for form, row in found.items()])  # fmt: skip
+
+
+@bench.command(name="fuzz")
+def bench_fuzz(
+    bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
+    files: int = 2000,
+    formats: tuple[str, ...] = (),
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Damage files of every format that is read, and see that each is refused by a sentence or read.
+
+    Exit status 1 if a reader raises anything but its sentence, ends its process, takes 2 GiB, or takes half a minute.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle, which is damaged.
+        files: of each format.
+        formats: which; default: all.
+        seed: of the damage.
+        json: print one JSON object.
+    """
+    from toolkit.bundle import find_bundle
+    from toolkit.fuzz import FORMATS, fuzz
+
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown or files < 1 or seed < 0:
+        raise ToolkitError(f"formats are {', '.join(formats) or 'all'}, files {files} and seed {seed}; give at least one file, a seed "
+                           f"from 0 on, and formats of: {', '.join(FORMATS)}")  # fmt: skip
+    found = []
+    with Progress("fuzz", quiet=json) as progress:
+        shown = lambda name, done: progress.show(name, f"{done} of {files} read", done, files, now=done == files)  # noqa: E731
+        for tally in fuzz(formats or tuple(FORMATS), files, seed, find_bundle(bundle), shown):
+            found.append(tally)
+    if json:
+        emit({"seed": seed, "formats": [asdict(tally) for tally in found]}, True, "")
+    else:
+        table("Damaged files", ["format", "files", "refused by a sentence", "read", "broke the reader", "slowest", "first"],
+              [[t.format, t.files, t.refused, t.read, t.broken.total(), f"{1e3 * t.slowest:.0f} ms", t.first] for t in found])  # fmt: skip
+    if any(tally.broken for tally in found):
+        raise SystemExit(1)

@@ -213,9 +213,9 @@ def twin(
 
 def _lineage(run: Path, target: str) -> "Lineage":
     from toolkit.manifest import Lineage
+    from toolkit.runs import read_report, read_tree
 
-    tree = _json(run / "tree.json", "it is written when a transfer begins")
-    report = _json(run / "report.json", "finish it with --resume") if (run / "report.json").is_file() else {}
+    tree, report = read_tree(run), read_report(run) or {}
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
     if alpha is None:
         raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
@@ -231,8 +231,9 @@ def _lineage(run: Path, target: str) -> "Lineage":
 def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
     """Success as the run's report has it, or measured now."""
     from toolkit.manifest import Success
+    from toolkit.runs import read_report
 
-    report = _json(run / "report.json", "") if (run / "report.json").is_file() else {}
+    report = read_report(run) or {}
     found = report.get("targets", {}).get(target, {}).get("native")
     measured = "by the run that trained it, through robosuite's own step"
     if found is None:
@@ -244,11 +245,3 @@ def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress:
     return Success(found["episodes"], found["successes"], float(found["success_rate"]), tuple(map(float, found["ci95"])), found["seed"],
                    measured)  # fmt: skip
 
-
-def _json(path: Path, mend: str) -> dict[str, Any]:
-    import json as json_module
-
-    try:
-        return json_module.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ToolkitError(f"{path} cannot be read ({error}); {mend}") from None

@@ -5,7 +5,6 @@
     arm/joints, action, object/height   [rad], the policy's action, [m]
 """
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import rerun.blueprint as rrb
 
 from toolkit.deploy.runtime import LOG_FORMAT, STAGES
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import content_of, parsed_object, require
 from toolkit.recording.layout import quiet_layout
 from toolkit.recording.learning import PATH_COLOURS
 
@@ -26,6 +26,11 @@ TITLES = {
     "state/held": "Held and late ticks", "action": "Action of the policy", "arm/joints": "Arm angles [rad]",
     "object/height": "Height of the object [m]",
 }  # fmt: skip
+_NUMBERS = [(float, None)]
+_NOTE = {"episode": int}
+_TICK = _NOTE | {"tick": int, "late": bool, "hold": bool, "action": _NUMBERS} | {f"{stage}_ms": float for stage in STAGES}
+_ALSO = {"joints": _NUMBERS, "object": _NUMBERS, "age_ms": (float, None), "fault": str}
+"""What a tick's line may hold besides."""
 PAGE = (("time/own", "time/arm", "state/age", "state/held"), ("action", "arm/joints", "object/height"))
 """Columns of the page."""
 
@@ -36,7 +41,7 @@ def record_deployment(log: Path) -> Path:
     Raises:
         ToolkitError: no such log, or another file.
     """
-    about, rows = _read(log)
+    about, rows = read_log(log)
     out = log.with_suffix(".rrd")
     out.unlink(missing_ok=True)
     ticks = [row for row in rows if "tick" in row]
@@ -53,15 +58,28 @@ def record_deployment(log: Path) -> Path:
     return out
 
 
-def _read(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    try:
-        lines = log.read_text(encoding="utf-8").splitlines()
-        about = json.loads(lines[0]) if lines else {}
-        rows = [json.loads(line) for line in lines[1:] if line.endswith("}")]  # a killed run leaves a torn last line
-    except (OSError, ValueError) as error:
-        raise ToolkitError(f"{log} is no deployment log ({error}); give a file that `meta-evolve deploy --log` wrote") from None
-    if not isinstance(about, dict) or about.get("format") != LOG_FORMAT:
-        raise ToolkitError(f"{log} is no deployment log; give a file that `meta-evolve deploy --log` wrote")
+def read_log(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What a log of ``deploy --log`` is about, and its lines.
+
+    Raises:
+        ToolkitError: no such log, another file, or a line that is damaged.
+    """
+    mend = "give a file that `meta-evolve deploy --log` wrote"
+    lines = content_of(log, mend).split(b"\n")
+    about = parsed_object(lines[0], f"{log} line 1", mend)
+    if about.get("format") != LOG_FORMAT:
+        raise ToolkitError(f"{log} is no deployment log; {mend}")
+    rows = []
+    for number, line in enumerate(lines[1:-1], start=2):  # a killed run leaves a torn last line
+        row = parsed_object(line, f"{log} line {number}", "delete that line")
+        shape = (_TICK if "tick" in row else _NOTE) | {key: shape for key, shape in _ALSO.items() if key in row}
+        rows.append(require(row, shape, f"{log} line {number}", "delete that line"))
+    wanted = {"action": len(ACTIONS), "object": 3, "joints": max((len(row["joints"]) for row in rows if "joints" in row), default=0)}
+    odd = [(key, row) for row in rows for key, size in wanted.items() if key in row and len(row[key]) != size]
+    if odd:
+        key, row = odd[0]
+        raise ToolkitError(f"{log} is damaged: tick {row.get('tick')} of episode {row['episode']} has {len(row[key])} numbers of {key}, "
+                           f"not {wanted[key]}; delete that line")  # fmt: skip
     return about, rows
 
 

@@ -5,11 +5,11 @@ import socket
 import subprocess
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rerun.chunk import RrdReader
+from rerun.chunk import Chunk, RrdReader
 
 from toolkit.errors import ToolkitError
 from toolkit.recording.programs import viewer_program
@@ -46,7 +46,7 @@ def recording_of(path: Path) -> Path:
     if not file.exists():
         hint = "; make it with --rebuild" if (path / "config.json").exists() else ""
         raise ToolkitError(f"no recording at {file}{hint or '; give an .rrd file, or the folder of a run that records'}")
-    reader_of(file)
+    next(chunks_of(file), None)  # what cannot be read further on is said here, not by the viewer
     return file
 
 
@@ -168,28 +168,57 @@ def _shows(client: "ViewerClient") -> bool:
 
 
 def reader_of(path: Path) -> RrdReader:
-    """Open a recording for reading.
+    """Open a recording for reading; its chunks are read by ``chunks_of`` alone.
 
     Raises:
         ToolkitError: it cannot be read, is cut off, or is no recording.
     """
     try:
         with open(path, "rb") as file:
-            ours = file.read(4) == b"RRF2"
+            mark = file.read(4)
     except OSError as error:
         raise ToolkitError(f"recording {path} cannot be read ({error.strerror}); check the path") from None
-    if not ours:
+    if mark != b"RRF2":
+        if mark[:3] == b"RRF":
+            raise _unreadable(path, "was written by an old version of Rerun")
         raise ToolkitError(f"{path} is not a Rerun recording; give an .rrd file written by `meta-evolve transfer`")
     try:
         with warnings.catch_warnings():  # a running or killed transfer's file has no footer, and reads well without
             warnings.simplefilter("ignore")
             reader = RrdReader(path)
             found = reader.recordings()
-    except (RuntimeError, ValueError):
-        found = []
+    except UNREADABLE as error:
+        raise _unreadable(path, _why(error)) from None
     if not found:
-        raise ToolkitError(f"recording {path} is cut off; make it anew with `{told('view', path.parent, '--rebuild')}`")
+        raise _unreadable(path, "is cut off: it holds no recording")
     return reader
+
+
+def chunks_of(path: Path) -> Iterator[Chunk]:
+    """A recording's chunks, one after the other: what opens well may still be damaged, or of another version, further on.
+
+    Raises:
+        ToolkitError: as soon as one cannot be read.
+    """
+    try:
+        yield from reader_of(path).stream()
+    except UNREADABLE as error:
+        raise _unreadable(path, _why(error)) from None
+
+
+UNREADABLE = (RuntimeError, ValueError, TypeError, OSError, MemoryError)
+"""What rerun and Arrow raise on a damaged file, here or where its chunks are taken apart."""
+
+
+def _why(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    if "incompatible" in text:
+        return f"was written by another version of Rerun ({text.rsplit(': ', 1)[-1][:100]})"
+    return f"is cut off or damaged ({text.rsplit(': ', 1)[-1][:100]})"
+
+
+def _unreadable(path: Path, why: str) -> ToolkitError:
+    return ToolkitError(f"recording {path} {why}; make it anew with `{told('view', path.parent, '--rebuild')}`")
 
 
 def free_port(wanted: int) -> int:

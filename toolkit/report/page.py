@@ -17,7 +17,7 @@ from toolkit.phases import Phase, load_phases
 from toolkit.plan import Plan
 from toolkit.report import figures
 from toolkit.report.stills import Studio
-from toolkit.runs import Run
+from toolkit.runs import Run, read_report, transfer_records
 
 STILLS = 8
 """Along each path."""
@@ -56,8 +56,7 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     """
     out = out or folder / "page"
     run = Run.open(folder)
-    records, phases, plan = run.read_metrics(), load_phases(folder), Plan(tree)
-    report = json.loads((folder / "report.json").read_bytes()) if (folder / "report.json").is_file() else None
+    records, phases, plan, report = transfer_records(run), load_phases(folder), Plan(tree), read_report(folder)
     pictures: dict[str, bytes] = {}
     progress("figures")
     walked = walked_edges(plan, records, phases)
@@ -218,4 +217,4 @@ def _figure(pictures: dict[str, bytes], name: str, caption: str) -> str:
 
 
 def _read(file: Path) -> str:
-    return file.read_text(encoding="utf-8") if file.is_file() else ""
+    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
