@@ -50,6 +50,7 @@ class Twin:
         fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
         self._finger_names = tuple(datasheet.plain_name(model.joint(j).name) for j in fingers)
         self._qpos, self._dofs, self._finger_qpos = model.jnt_qposadr[arm], model.jnt_dofadr[arm], model.jnt_qposadr[fingers]
+        self._endless = model.jnt_limited[arm] == 0
         by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
         self._motors = np.array([by_joint[j] for j in arm])
         self._limit = np.abs(model.actuator_ctrlrange[self._motors]).max(axis=1)
@@ -178,7 +179,9 @@ class Twin:
     def _follow_joints(self, target: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """Torques (n,) of a computed-torque servo towards angles (n,) [rad] moving at ``speed``."""
         data = self.data
-        push = SERVO_KP * (target - data.qpos[self._qpos]) + 2 * np.sqrt(SERVO_KP) * (speed - data.qvel[self._dofs])
+        away = target - data.qpos[self._qpos]
+        away = np.where(self._endless, (away + np.pi) % (2 * np.pi) - np.pi, away)  # the shorter way, as arms without end go
+        push = SERVO_KP * away + 2 * np.sqrt(SERVO_KP) * (speed - data.qvel[self._dofs])
         return self._mass() @ push + data.qfrc_bias[self._dofs]
 
     def _follow_pose(self, target: np.ndarray, twist: np.ndarray) -> np.ndarray:

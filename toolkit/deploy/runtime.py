@@ -96,6 +96,7 @@ class Runtime:
     def begin(self, state: State, now: float) -> Fault | None:
         """Start an episode at a state; a fault means that the arm must not be moved."""
         self.guard.begin()
+        self.observer.begin()
         self._reached = self._held = 0
         self._fault = self.guard.start(state, now)
         if self._fault is None:
@@ -132,6 +133,7 @@ class Runtime:
             self._count_goal(observation)
         clock.append(time.perf_counter())
         times = dict(zip(STAGES[1:4], np.diff(clock).tolist(), strict=True))
+        command = self.observer.reported(command)
         return Tick(command, self._fault, self._held > self.manifest.watch.hold_ticks, warning, action, times)
 
     def _count_goal(self, observation: np.ndarray) -> None:

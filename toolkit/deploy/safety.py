@@ -21,6 +21,8 @@ SPEED_MARGIN = 1.5
 """Measured joint speed, in units of the limit, from which the arm is held: measured speeds overshoot commanded ones."""
 LIMIT_MARGIN = 0.02
 """[rad] by which a measured angle may pass its limit."""
+FARTHEST = 1000 * 2 * np.pi
+"""[rad] of a reading of an endless joint; beyond, whole turns could no longer be told from nonsense."""
 LIFTED = 0.02
 """Rise [m] of the object from where it rested that counts as lifted."""
 OVERSHOOT = 0.02
@@ -87,7 +89,7 @@ class Guard:
             return fault
         start, arm = self.manifest.start, self.observer.arm(state)
         self._rest = float(state.object_position[2])
-        away = np.abs(_turns(arm - np.array(start.arm_rad), self._low))
+        away = np.abs(arm - np.array(start.arm_rad))
         if away.max() > start.tolerance_rad:
             worst = int(away.argmax())
             return Fault("start_pose", f"joint {self.manifest.joints[worst].name} stands {away[worst]:.3f} rad from the start posture, "
@@ -120,6 +122,11 @@ class Guard:
         arm = self._arm = self.observer.arm(state)
         if not np.isfinite(arm).all():
             return Fault("not_finite", f"joint {self.manifest.joints[int((~np.isfinite(arm)).argmax())].name} is not finite")
+        lost = np.abs(self.observer.in_order(state.joints)) > FARTHEST
+        if lost.any():
+            worst = int(lost.argmax())
+            return Fault("joint_limit", f"joint {self.manifest.joints[worst].name} reports "
+                                        f"{self.observer.in_order(state.joints)[worst]:.3g} rad, which no encoder counts")  # fmt: skip
         out = (arm < self._low - LIMIT_MARGIN) | (arm > self._high + LIMIT_MARGIN)
         if out.any():
             return Fault("joint_limit", f"joint {self.manifest.joints[int(out.argmax())].name} stands at {arm[out.argmax()]:.3f} rad")
@@ -196,8 +203,3 @@ class Guard:
         self._late = self._late + 1 if late else 0
         limit = self.manifest.watch.late_ticks
         return Fault("late_ticks", f"{self._late} ticks in a row ended after their period") if self._late >= limit else None
-
-
-def _turns(difference: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Differences (n,) [rad], whole turns left out where a joint has no limits."""
-    return np.where(np.isfinite(low), difference, (difference + np.pi) % (2 * np.pi) - np.pi)
