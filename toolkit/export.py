@@ -235,7 +235,7 @@ def onnx_from_bytes(content: bytes, where: str) -> OnnxPolicy:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)  # it prints
         text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)  # as text: it may be none
     except _LOAD_ERRORS as error:
         raise ToolkitError(f"{where} is damaged or is not ONNX ({error}); export the policy again.") from error

@@ -8,6 +8,7 @@ come back is found out, and by which file.
 import hashlib
 import io
 import json
+import os
 import re
 import resource
 import shutil
@@ -144,6 +145,7 @@ def _note(tally: Tally, outcome: str, detail: str, seconds: float) -> None:
 
 def work(pipe: Any, name: str, numbers: range, seed: int, bundle: Path) -> None:
     """In the child: make the sound file of a format, then damage and read one after the other, and send what came of each."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries print of a broken file is no figure
     with tempfile.TemporaryDirectory() as folder:
         sample = FORMATS[name](Path(folder), bundle)
         sample.read(sample.file)  # what is sound is read, and everything is imported and compiled
@@ -417,7 +419,7 @@ def _report_of() -> dict[str, Any]:
 
 
 def _run_of(folder: Path) -> Run:
-    run = Run.create(folder / "run", {"source": "s", "targets": ["a"], "task": "t", "transfer": {"xi": 0.03, "seed": 1}})
+    run = Run.create(folder / "run", {"source": "s", "targets": ["a"], "task": "t", "transfer": {"xi": 0.03, "threshold": 0.66, "seed": 1}})
     counts = dict.fromkeys(("train_iterations", "sim_epochs", "check_episodes", "diverged"), 2)
     for event in ({"event": "check", "success": 0.5}, {"event": "moved"}, {"event": "arrived", "target": "a"}):
         run.append_metrics(event | {"path": "path 1", "stage": "evolve"} | counts)

@@ -5,7 +5,7 @@ as what determines it (policy, robot, seed, noise), a few kilobytes; playing it 
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -143,9 +143,15 @@ def load_phase(file: Path) -> Phase:
     return phase
 
 
-def load_phases(run: Path) -> dict[str, Phase]:
-    """Name -> phase, of all phases that a run folder holds."""
-    return {file.stem: load_phase(file) for file in sorted((run / FOLDER).glob("[!.]*.safetensors"))}
+def load_phases(run: Path, tell: Callable[[str], None] = lambda why: None) -> dict[str, Phase]:
+    """Name -> phase, of all phases of a run folder that can be read; ``tell`` is called with a sentence for each other one."""
+    found = {}
+    for file in sorted((run / FOLDER).glob("[!.]*.safetensors")):
+        try:
+            found[file.stem] = load_phase(file)
+        except ToolkitError as error:
+            tell(str(error))
+    return found
 
 
 def score(episode: Episode) -> float:

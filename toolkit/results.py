@@ -103,14 +103,21 @@ def read_result(folder: Path) -> Result | None:
     if report is None:
         return None
     run = Run.open(folder)
-    require(run.config, {"transfer": {"xi": float}}, str(folder / "config.json"), "start the run again under another --run")
+    require(run.config, {"transfer": {"xi": float, "threshold": float}}, str(folder / "config.json"), "start the run again under another --run")
     return Result(folder.name, run.config, report, read_tree(folder), transfer_records(run), run.commit())
 
 
-def finished_runs(folder: Path) -> list[Result]:
-    """All runs of a suite's folder that have finished, by name."""
-    paths = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
-    return [result for path in paths if (result := read_result(path))]
+def finished_runs(folder: Path) -> tuple[list[Result], list[str]]:
+    """All runs of a suite's folder that have finished, by name, and a sentence for each that cannot be read."""
+    found, broken = [], []
+    for path in sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []:
+        try:
+            result = read_result(path)
+        except ToolkitError as error:
+            broken.append(str(error))
+            continue
+        found += [] if result is None else [result]
+    return found, broken
 
 
 def write_results(folder: Path, title: str, command: str) -> Path:
@@ -127,9 +134,10 @@ def write_results(folder: Path, title: str, command: str) -> Path:
     Raises:
         ToolkitError: no run in the folder has finished.
     """
-    runs = finished_runs(folder)
+    runs, broken = finished_runs(folder)
     if not runs:
-        raise ToolkitError(f"{folder} holds no finished run; play the suite with: {command}")
+        more = f" ({broken[0]})" if broken else ""
+        raise ToolkitError(f"{folder} holds no finished run{more}; play the suite with: {command}")
     plot_success(runs, folder / "success.png")
     plot_curves(runs, folder / "curves.png")
     plot_cost(runs, folder / "cost.png")

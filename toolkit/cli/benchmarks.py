@@ -123,27 +123,38 @@ def bench_transfer(
     unknown = [name for name in only if name not in SUITES[suite]]
     if unknown:
         raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(SUITES[suite])}")
+    failed = {}
     if play:
-        _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
+        failed = _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
     from toolkit.results import finished_runs, write_results
 
     command = told("bench", "transfer", "--suite", suite)
     page = write_results(out, "Results on unmodified robosuite robots", command)
-    emit({run.name: run.report for run in finished_runs(out)}, json, f"{page}: the table and its pictures")
+    runs, broken = finished_runs(out)
+    emit({run.name: run.report for run in runs}, json, f"{page}: the table and its pictures")
+    trouble = [f"{name} did not finish: {why}" for name, why in failed.items()] + [f"left out of the page: {why}" for why in broken]
+    if trouble:
+        raise ToolkitError("; ".join(trouble))
 
 
-def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> None:
+def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
+    """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
     from toolkit.expert import load_expert
     from toolkit.pipeline import Pipeline
 
     for job in jobs.values():  # say what is missing before hours are spent
         load_expert(job.source.name, job.task.name, job.expert)
+    failed = {}
     for name, job in jobs.items():
         folder = out / name
         if (folder / "report.json").is_file():
             continue
         with Progress(name, quiet) as progress:
-            Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
+            try:
+                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
+            except ToolkitError as error:
+                failed[name] = str(error)
+    return failed
 
 
 @bench.command(name="engine")

@@ -34,7 +34,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, j
         out: folder of the bundle; made if needed. The .zip lies beside it.
         json: print the manifest.
     """
-    content, policies = trained_policies(run, target)
+    content, policies, _ = trained_policies(run, target)
     from toolkit.packing import write_bundle
 
     robot, task = find_robot(target), find_task(content["task"])

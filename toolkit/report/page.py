@@ -56,7 +56,8 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     """
     out = out or folder / "page"
     run = Run.open(folder)
-    records, phases, plan, report = transfer_records(run), load_phases(folder), Plan(tree), read_report(folder)
+    unread: list[str] = []
+    records, phases, plan, report = transfer_records(run), load_phases(folder, unread.append), Plan(tree), read_report(folder)
     pictures: dict[str, bytes] = {}
     progress("figures")
     walked = walked_edges(plan, records, phases)
@@ -66,12 +67,12 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     pictures["curves"] = figures.png(figures.curves_figure(records))
     pictures["parameters"] = figures.png(figures.heat_figure(merged.space, {
         name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))  # fmt: skip
-    missing = ""
+    missing = unread
     try:
         for index, strip in enumerate(_strips(plan, merged, progress), start=1):
             pictures[f"morph-{index}"] = figures.png(strip)
     except ToolkitError as error:
-        missing = str(error)
+        missing.append(str(error))
     page = _page(run, plan, records, phases, report, pictures, missing)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -123,7 +124,7 @@ def _strips(plan: Plan, merged: MergedRobot, progress: Callable[[str], None]) ->
 
 
 def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str, Phase], report: dict[str, Any] | None,
-          pictures: dict[str, bytes], missing: str) -> str:  # fmt: skip
+          pictures: dict[str, bytes], missing: list[str]) -> str:  # fmt: skip
     config = run.config
     title = f"{config.get('source', '?')} to {', '.join(config.get('targets', []))}: {config.get('task', '?')}"
     parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(config, records, report)]
@@ -134,7 +135,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
     parts += ["<h2>Learning</h2>", _figure(pictures, "curves", legend), _paths(records), _trouble(phases)]
     parts += ["<h2>Robots on their way</h2>"]
-    parts += [f'<p class="note">{html.escape(missing)}</p>'] if missing else []
+    parts += [f'<p class="note">{html.escape(why)}</p>' for why in missing]
     parts += [_figure(pictures, name, "") for name in pictures if name.startswith("morph-")]
     parts += ["<h2>Parameters</h2>", _figure(pictures, "parameters", "alpha of every robot: white 0, black 1; rows are joints and shapes.")]
     settings = json.dumps(config, indent=1)
