@@ -43,6 +43,8 @@ TABLE_BAND = (-0.1, 0.3)
 """[m] above the tag's table in which an object's frame lies when it is first seen."""
 CARRIED = 0.1
 """[m] of travel from which on an object was picked up, as every recording shows; it then rises by RISE of that at least."""
+CLEARLY = 0.2
+"""How far fingers bend, in shares of their length, for it to tell a right hand from a left one."""
 RISE = 0.25
 """Share of an object's travel."""
 AGREEMENT = 0.05
@@ -152,6 +154,10 @@ def read_recording(root: Path, name: str, frame_rate: float = FRAME_RATE) -> Rec
         inverse = _against_the_table((world_from["apriltag"] @ poses)[..., :3, 3], meta.grasped) is None
         why = "they would be with the inverse of that pose: it is to be tag to master" if inverse else "and its unit"
         raise RecordingError(folder / "pose.npz", "pose_y", *odd, f"check apriltag in extrinsics_{meta.extrinsics}: {why}")
+    bent = _bent_like_a_right_hand(joints)
+    if abs(bent) > CLEARLY and (bent > 0) != (meta.side == "right"):
+        shown = "right" if bent > 0 else "left"
+        raise RecordingError(folder / "meta.yml", "mano_sides", f"the {shown} hand that joint_3d shows", meta.side)
     mirrored = meta.side == "left"
     if mirrored:
         flip = np.diag([-1.0, 1.0, 1.0])
@@ -168,6 +174,24 @@ def grasped_object(root: Path, name: str) -> str:
     """
     meta = _Meta(Path(root) / name / "meta.yml")
     return YCB_NAMES[meta.ycb_ids[meta.grasped] - 1]
+
+
+def _bent_like_a_right_hand(joints: np.ndarray) -> float:
+    """How far the fingers of a hand (F, 21, 3) bend to the palm of a right hand, in shares of their length; of a left one negative.
+
+    The mean over frames and fingers. The palm of a right hand faces along the cross product of the ways from its wrist to the index
+    finger's knuckle and to the little finger's.
+    """
+    seen = joints[np.isfinite(joints[:, 0, 0])]
+    place = lambda finger, part: seen[:, JOINT_NAMES.index(f"{finger}_{part}")]  # noqa: E731
+    palm = np.cross(place("index", "mcp") - seen[:, 0], place("little", "mcp") - seen[:, 0])
+    palm /= np.maximum(np.linalg.norm(palm, axis=1, keepdims=True), 1e-9)
+    shares = []
+    for finger in FINGERS[1:]:
+        chain = [place(finger, part) for part in ("mcp", "pip", "dip", "tip")]
+        length = sum(np.linalg.norm(b - a, axis=1) for a, b in zip(chain, chain[1:], strict=False))
+        shares.append(((chain[-1] - chain[0]) * palm).sum(axis=1) / np.maximum(length, 1e-9))
+    return float(np.mean(shares))
 
 
 def _against_the_table(positions: np.ndarray, grasped: int) -> tuple[str, str] | None:

@@ -123,7 +123,8 @@ def test_the_list_names_each_broken_one_and_shows_the_rest(hands, capsys):
 
 CARDS = {
     "name": 'from robots.panda import PANDA\nfrom dataclasses import replace\nMINE = replace(PANDA, name="my panda")\n',
-    "syntax": "def (\n", "import": "import nosuchmodule\n", "attribute": "import numpy\nnumpy.nosuch\n", "key": "{}['x']\n", "zero": "1 / 0\n",
+    "syntax": "def (\n", "import": "import nosuchmodule\n", "attribute": "import numpy\nnumpy.nosuch\n", "key": "{}['x']\n",
+    "zero": "1 / 0\n",
     "file": "open('/nosuch')\n",
 }  # fmt: skip
 

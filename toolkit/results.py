@@ -103,7 +103,8 @@ def read_result(folder: Path) -> Result | None:
     if report is None:
         return None
     run = Run.open(folder)
-    require(run.config, {"transfer": {"xi": float, "threshold": float}}, str(folder / "config.json"), "start the run again under another --run")
+    asked = {"transfer": {"xi": float, "threshold": float}}
+    require(run.config, asked, str(folder / "config.json"), "start the run again under another --run")
     return Result(folder.name, run.config, report, read_tree(folder), transfer_records(run), run.commit())
 
 

@@ -227,8 +227,22 @@ _EVENT = {"event": str, "path": str, "stage": str, "train_iterations": int, "sim
 _EVENTS = {"check": {"success": float}, "arrived": {"target": str}, "split": {"targets": str}}
 
 
+def read_success(folder: Path) -> dict[str, Any]:
+    """What a run's report says of success, routes and totals, and perhaps no more; empty while there is none.
+
+    Raises:
+        ToolkitError: it is damaged.
+    """
+    file, mend = folder / "report.json", "finish the run again with --resume"
+    if not file.is_file():
+        return {}
+    report = read_object(file, mend)
+    shape = {"targets": {...: {"native": _EVALUATION}}} | {key: _REPORT[key] for key in ("routes", "totals") if key in report}
+    return require(report, shape, str(file), mend)
+
+
 def read_report(folder: Path) -> dict[str, Any] | None:
-    """The report of a transfer's run folder; None while it has none.
+    """The whole report of a transfer's run folder; None while it has none.
 
     Raises:
         ToolkitError: it is damaged, or lacks what those who read it need.

@@ -213,9 +213,9 @@ def twin(
 
 def _lineage(run: Path, target: str) -> "Lineage":
     from toolkit.manifest import Lineage
-    from toolkit.runs import read_report, read_tree
+    from toolkit.runs import read_success, read_tree
 
-    tree, report = read_tree(run), read_report(run) or {}
+    tree, report = read_tree(run), read_success(run)
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
     if alpha is None:
         raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
@@ -231,9 +231,9 @@ def _lineage(run: Path, target: str) -> "Lineage":
 def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
     """Success as the run's report has it, or measured now."""
     from toolkit.manifest import Success
-    from toolkit.runs import read_report
+    from toolkit.runs import read_success
 
-    report = read_report(run) or {}
+    report = read_success(run)
     found = report.get("targets", {}).get(target, {}).get("native")
     measured = "by the run that trained it, through robosuite's own step"
     if found is None:

@@ -66,7 +66,10 @@ def read_log(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """
     mend = "give a file that `meta-evolve deploy --log` wrote"
     lines = content_of(log, mend).split(b"\n")
-    about = parsed_object(lines[0], f"{log} line 1", mend)
+    try:
+        about = parsed_object(lines[0], "line 1", "it says what is logged")
+    except ToolkitError as error:
+        raise ToolkitError(f"{log} is no deployment log ({error}); {mend}") from None
     if about.get("format") != LOG_FORMAT:
         raise ToolkitError(f"{log} is no deployment log; {mend}")
     rows = []
