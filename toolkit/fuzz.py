@@ -79,6 +79,10 @@ class Tally:
     first: str = ""
     slowest: float = 0.0
 
+    def to_json(self) -> dict[str, Any]:
+        """The contract of ``meta-evolve bench fuzz --json``."""
+        return self.__dict__ | {"broken": dict(self.broken)}
+
 
 def fuzz(
     formats: Sequence[str], files: int, seed: int, bundle: Path, progress: Callable[[str, int], None] = lambda name, done: None

@@ -237,8 +237,8 @@ def read_success(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     report = read_object(file, mend)
-    shape = {"targets": {...: {"native": _EVALUATION}}} | {key: _REPORT[key] for key in ("routes", "totals") if key in report}
-    return require(report, shape, str(file), mend)
+    shape = {"targets": {...: {"native": _EVALUATION}}, "routes": {...: [str]}, "totals": _COUNTS}
+    return require(report, {key: one for key, one in shape.items() if key in report}, str(file), mend)
 
 
 def read_report(folder: Path) -> dict[str, Any] | None:
@@ -284,6 +284,12 @@ def read_tree(folder: Path) -> dict[str, Any]:
     if not sound:
         raise ToolkitError(f"{file} is damaged: its nodes and edges make no tree; {mend}")
     return tree
+
+
+def read_nodes(folder: Path) -> dict[str, Any]:
+    """What tree.json says of its nodes, metric and kind, and perhaps no more; errors as of ``read_tree``."""
+    file, mend = folder / "tree.json", "it is written when a transfer begins"
+    return require(read_object(file, mend), {key: _TREE[key] for key in ("metric", "kind", "nodes")}, str(file), mend)
 
 
 def transfer_records(run: Run) -> list[dict[str, Any]]:

@@ -434,7 +434,7 @@ def bench_fuzz(
         for tally in fuzz(formats or tuple(FORMATS), files, seed, find_bundle(bundle), shown):
             found.append(tally)
     if json:
-        emit({"seed": seed, "formats": [asdict(tally) for tally in found]}, True, "")
+        emit({"seed": seed, "formats": [tally.to_json() for tally in found]}, True, "")
     else:
         table("Damaged files", ["format", "files", "refused by a sentence", "read", "broke the reader", "slowest", "first"],
               [[t.format, t.files, t.refused, t.read, t.broken.total(), f"{1e3 * t.slowest:.0f} ms", t.first] for t in found])  # fmt: skip

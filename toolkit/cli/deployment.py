@@ -213,16 +213,16 @@ def twin(
 
 def _lineage(run: Path, target: str) -> "Lineage":
     from toolkit.manifest import Lineage
-    from toolkit.runs import read_success, read_tree
+    from toolkit.runs import read_nodes, read_success
 
-    tree, report = read_tree(run), read_success(run)
+    tree, report = read_nodes(run), read_success(run)
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
     if alpha is None:
         raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
     route = next((names for names in report.get("routes", {}).values() if names and names[-1] == target), [target])
     totals = report.get("totals", {})
     return Lineage(
-        source=next(node["name"] for node in tree["nodes"] if node["kind"] == "source"), route=tuple(route),
+        source=next((node["name"] for node in tree["nodes"] if node["kind"] == "source"), "unknown"), route=tuple(route),
         alpha=tuple(map(float, alpha)), kind=tree["kind"], metric=tree["metric"],
         train_iterations=int(totals.get("train_iterations", 0)), sim_epochs=int(totals.get("sim_epochs", 0)),
     )  # fmt: skip
