@@ -29,7 +29,7 @@ def read_tensors(file: Path, what: str, key: str, mend: str) -> tuple[dict, dict
             header = opened.metadata() or {}
             arrays = {name: opened.get_tensor(name) for name in opened.keys()}
     except BROKEN as error:
-        raise ToolkitError(f"{file} is truncated or damaged, so it is no {what} ({str(error)[:120]}); {mend}") from None
+        raise ToolkitError(f"{file} is damaged or is not a {what} (truncated or damaged: {str(error)[:120]}); {mend}") from None
     if key not in header or not all(array.dtype.kind in "fiu" for array in arrays.values()):
         raise ToolkitError(f"{file} is not a {what} of this toolkit, so it is not ours; {mend}")
     return parsed_object(header[key], f"the header of {file}", mend), arrays
