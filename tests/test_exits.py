@@ -13,10 +13,11 @@ import pytest
 from toolkit import cli
 from toolkit.bundle import load_bundle
 from toolkit.cli import main
-from toolkit.cli.terminal import Outlet, plain
+from toolkit.cli.terminal import Outlet
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.runtime import Runtime, TickLog, play
 from toolkit.errors import ToolkitError
+from toolkit.quoting import plain
 
 ROOT = Path(cli.__file__).parents[2]
 POINTS = '{"source": {"name": "s", "alpha": [0, 0]}, "targets": [{"name": "a", "alpha": [1, 0]}, {"name": "b", "alpha": [0, 1]}]}'

@@ -24,7 +24,7 @@ from toolkit.errors import ToolkitError
 from toolkit.export import OnnxPolicy, onnx_from_bytes
 from toolkit.jsonfiles import parsed
 from toolkit.manifest import Manifest, read_manifest
-from toolkit.shell import told
+from toolkit.quoting import told
 
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"

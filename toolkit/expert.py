@@ -15,8 +15,8 @@ from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
 from toolkit.morphology.build import MergedRobot
+from toolkit.quoting import told
 from toolkit.runs import Run, generator_from_state, generator_state
-from toolkit.shell import told
 from toolkit.simulation.rollout import RolloutEngine
 
 Script = PickScript | TrackScript

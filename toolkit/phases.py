@@ -136,7 +136,7 @@ def load_phase(file: Path) -> Phase:
     except (KeyError, TypeError) as error:
         raise refuse(error) from None
     except ToolkitError as error:
-        raise error if "not a phase" in str(error) else refuse(error) from None
+        raise error if "or not a phase" in str(error) else refuse(error) from None
     shapes = {array.shape for array in (phase.start, *([] if phase.end is None else [phase.end]), *(take.alpha for take in takes))}
     if phase.name != file.stem or len(shapes) > 1 or phase.start.ndim != 1:
         raise refuse("it is another phase's, or its robots are of different sizes")

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Waypoint
 from toolkit.jsonfiles import require
+from toolkit.quoting import letters, markdown
 from toolkit.runs import Run, read_report, read_tree, transfer_records
 
 PAPER = {
@@ -171,14 +172,14 @@ def write_results(folder: Path, title: str, command: str) -> Path:
 def success_table(runs: Sequence[Result]) -> list[str]:
     """Markdown rows: successes of every run on each target."""
     targets = _targets(runs)
-    lines = ["| run | task | " + " | ".join(f"{t}, unmodified | {t}, F(beta)" for t in targets) + " |",
+    lines = ["| run | task | " + " | ".join(f"{markdown(t)}, unmodified | {markdown(t)}, F(beta)" for t in targets) + " |",
              "|---|---|" + "---|---|" * len(targets)]  # fmt: skip
     for run in runs:
         cells = []
         for target in targets:
             both = run.report["targets"].get(target, {})
             cells += [_rate(both.get("native")), _rate(both.get("merged"))]
-        lines.append(f"| {run.name} | {run.task} | {' | '.join(cells)} |")
+        lines.append(f"| {markdown(run.name)} | {markdown(run.task)} | {' | '.join(cells)} |")
     return lines
 
 
@@ -189,7 +190,7 @@ def cost_table(runs: Sequence[Result]) -> list[str]:
     for (method, task, targets), group in _groups(runs).items():
         cells = [_spread([run.report["totals"][key] for run in group]) for key in COSTS]
         wall = _spread([run.report["time"]["wall_s"] / 60 for run in group], digits=1)
-        lines.append(f"| {method}, to {targets} | {task} | {len(group)} | {' | '.join(cells)} | {wall} |")
+        lines.append(f"| {markdown(f'{method}, to {targets}')} | {markdown(task)} | {len(group)} | {' | '.join(cells)} | {wall} |")
     for method, numbers in PAPER.items():
         cells = [f"{mean} ± {deviation}" for mean, deviation in numbers.values()]
         lines.append(f"| paper: {method} | DexYCB | 5 | {' | '.join(cells)} | not given | not given |")
@@ -212,7 +213,7 @@ def sharing_table(runs: Sequence[Result]) -> list[str]:
             shared, alone = run.report["totals"][key], sum(np.mean(costs) for costs in found)
             cells += [str(shared), f"{alone:.0f}", f"{alone / shared:.2f}" if shared else "-"]
         else:
-            lines.append(f"| {run.name} | {', '.join(run.config['targets'])} | {' | '.join(cells)} |")
+            lines.append(f"| {markdown(run.name)} | {markdown(', '.join(run.config['targets']))} | {' | '.join(cells)} |")
     return lines
 
 
@@ -222,7 +223,7 @@ def path_table(runs: Sequence[Result]) -> list[str]:
     for run in runs:
         for path, route in run.report["routes"].items():
             cells = " | ".join(str(run.report[key][path]) for key in COSTS)
-            lines.append(f"| {run.name} | {path}: {' to '.join(route)} | {cells} |")
+            lines.append(f"| {markdown(run.name)} | {markdown(path)}: {markdown(' to '.join(route))} | {cells} |")
     return lines
 
 
@@ -254,6 +255,7 @@ def _spread(values: Sequence[float], digits: int = 0) -> str:
 _HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 
 
+@letters
 def plot_success(runs: Sequence[Result], file: Path) -> None:
     """A row per run, a panel per target: success on the unmodified robot with its 95 % interval."""
     targets = _targets(runs)
@@ -273,6 +275,7 @@ def plot_success(runs: Sequence[Result], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
+@letters
 def plot_cost(runs: Sequence[Result], file: Path) -> None:
     """Stacked bars: training and checking episodes of every run, one segment per path."""
     figure = Figure(figsize=(9, 0.4 * len(runs) + 1.4), layout="constrained")
@@ -288,6 +291,7 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
+@letters
 def plot_curves(runs: Sequence[Result], file: Path) -> None:
     """Success measured on the way against episodes played on the path, a panel per run and a curve per path."""
     columns = min(3, len(runs))
@@ -310,6 +314,7 @@ def plot_curves(runs: Sequence[Result], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
+@letters
 def plot_walk(waypoints: Sequence[Waypoint], file: Path) -> None:
     """Success of an untrained policy along every edge of a tree, a panel per edge."""
     edges = list(dict.fromkeys((w.start, w.end) for w in waypoints))

@@ -12,11 +12,12 @@ from toolkit.cli.inspection import doctor, morph, replay, report, view
 from toolkit.cli.judging import evaluate, verify
 from toolkit.cli.recordings import recordings
 from toolkit.cli.systems import match, robots
-from toolkit.cli.terminal import outlets, plain
+from toolkit.cli.terminal import outlets
 from toolkit.cli.training import expert, transfer
 from toolkit.cli.trees import tree
 from toolkit.errors import ToolkitError
 from toolkit.quiet import silence_robosuite
+from toolkit.quoting import plain
 
 app = tyro.extras.SubcommandApp()
 for command in (robots, match, tree, expert, transfer, evaluate, view, report, morph, replay, export, verify, deploy, twin, doctor):

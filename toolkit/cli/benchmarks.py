@@ -9,7 +9,7 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
-from toolkit.shell import told
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.pipeline import Job

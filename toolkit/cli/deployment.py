@@ -10,7 +10,7 @@ import tyro
 from toolkit.cli.names import find_robot, find_task, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
-from toolkit.shell import told
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     import subprocess

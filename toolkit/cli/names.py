@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from toolkit.errors import ToolkitError
 from toolkit.jsonfiles import require
-from toolkit.shell import told
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from robots.robot import Robot

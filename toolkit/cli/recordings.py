@@ -9,7 +9,7 @@ import tyro
 from toolkit.cli.names import find_robot
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
-from toolkit.shell import told
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.recordings import Demonstration, Studio

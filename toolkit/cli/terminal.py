@@ -3,10 +3,11 @@
 import json
 import os
 import sys
-import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO
+
+from toolkit.quoting import plain
 
 
 class Outlet:
@@ -69,26 +70,23 @@ def outlets() -> Iterator[tuple[Outlet, Outlet]]:
         sys.stdout, sys.stderr = before
 
 
-def plain(text: str) -> str:
-    """Text with every control and formatting character spelled out, so that a name from a file moves no cursor."""
-    return "".join(c if unicodedata.category(c) not in ("Cc", "Cf", "Zl", "Zp") else c.encode("unicode_escape").decode() for c in text)
-
-
 def emit(content: Any, as_json: bool, text: str) -> None:
     """Print one JSON value, or the text for people."""
-    print(json.dumps(content) if as_json else text)
+    print(json.dumps(content) if as_json else "\n".join(map(plain, text.split("\n"))))
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Print a table."""
+    """Print a table; its texts are data, never the terminal library's markup."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title, title_justify="left")
+    said = lambda value: Text(plain(str(value)))  # noqa: E731
+    table = Table(title=said(title), title_justify="left")
     for column in columns:
-        table.add_column(column, overflow="fold")  # a name that is cut off names nothing
+        table.add_column(said(column), overflow="fold")  # a name that is cut off names nothing
     for row in rows:
-        table.add_row(*(str(value) for value in row))
+        table.add_row(*map(said, row))
     console = Console()
     if not console.is_terminal:
         console.width = 1000  # a row stays one line in a file or a pipe
@@ -111,8 +109,8 @@ class Progress:
         self.live = self.console.is_terminal and not quiet
         self.quiet = quiet
         self._last = 0.0
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[detail]}"), TimeElapsedColumn(),
-                   TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[detail]}", markup=False),
+                   TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())  # fmt: skip
         self.bar = Progress(*columns, console=self.console, disable=not self.live)
         self._task = self.bar.add_task(title, total=None, detail="")
 
@@ -127,6 +125,7 @@ class Progress:
         """Update the line; without a terminal print at most every ten seconds, or ``now``."""
         import time
 
+        title, detail = plain(title), plain(detail)
         self.bar.update(self._task, description=title, detail=detail, completed=done or 0, total=total)
         if not self.live and not self.quiet and (now or time.monotonic() - self._last > 10.0):
             self._last = time.monotonic()
@@ -164,7 +163,7 @@ class Progress:
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "recorded":
                 if not self.quiet:
-                    self.console.print(str(record["cost"]), highlight=False)
+                    self.console.print(str(record["cost"]), highlight=False, markup=False)
                 return
             if record["event"] == "preparing":
                 self.show("preparing", f"measuring and merging {', '.join(record['robots'])}", now=True)

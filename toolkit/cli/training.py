@@ -6,7 +6,7 @@ from typing import Literal
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
-from toolkit.shell import told
+from toolkit.quoting import told
 
 
 def expert(

@@ -16,6 +16,7 @@ import rerun.blueprint as rrb
 from toolkit.deploy.runtime import LOG_FORMAT, STAGES
 from toolkit.errors import ToolkitError
 from toolkit.jsonfiles import content_of, parsed_object, require
+from toolkit.quoting import markdown
 from toolkit.recording.layout import quiet_layout
 from toolkit.recording.learning import PATH_COLOURS
 
@@ -137,13 +138,13 @@ def _layout(curves: dict[str, tuple[tuple[str, ...], np.ndarray]]) -> rrb.Bluepr
 def _summary(about: dict[str, Any], rows: list[dict[str, Any]], ticks: list[dict[str, Any]]) -> str:
     faults = Counter(row["fault"] for row in ticks if "fault" in row)
     episodes = len({row["episode"] for row in ticks})
-    lines = [f"# {about.get('robot')}: {about.get('task')}", "",
-             f"{len(ticks)} ticks of {episodes} episodes, {about.get('form')} commands, {about.get('pace')}.", ""]  # fmt: skip
+    robot, task, form, pace = (markdown(str(about.get(key))) for key in ("robot", "task", "form", "pace"))
+    lines = [f"# {robot}: {task}", "", f"{len(ticks)} ticks of {episodes} episodes, {form} commands, {pace}.", ""]
     if ticks:
         own = np.array([sum(row[f"{stage}_ms"] for stage in STAGES[1:4]) for row in ticks])
         half, most = np.percentile(own, [50, 99])
         lines += [f"Half of the ticks took less than {half:.2f} ms, 99 of 100 less than {most:.2f} ms, the longest {own.max():.2f} ms. "
                   f"Late ticks: {sum(row['late'] for row in ticks)}.", ""]  # fmt: skip
-    lines += [f"- held for {kind}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
-    lines += [f"- episode {row['episode']} stopped: {row['stop']}" for row in rows if "stop" in row]
+    lines += [f"- held for {markdown(kind)}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
+    lines += [f"- episode {row['episode']} stopped: {markdown(str(row['stop']))}" for row in rows if "stop" in row]
     return "\n".join(lines)

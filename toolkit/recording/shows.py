@@ -17,6 +17,7 @@ from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import Phase, Take
 from toolkit.plan import Plan
+from toolkit.quoting import markdown
 from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
 from toolkit.recording.rollouts import RolloutsPage, rollouts_views
@@ -181,7 +182,7 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
     scene.label(0.0, 0, [f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)])
     for page, (label, _, _), film in zip(pages, sides, films, strict=True):
         page.act(times[: len(film.qpos)], 0, film)
-        page.caption(0.0, 0, f"**{label}**, seed {seed}, without noise.\n\n**{film.verdict().capitalize()}.**")
+        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise.\n\n**{film.verdict().capitalize()}.**")
     stream.close()
     return films
 
@@ -214,7 +215,7 @@ def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
     if (folder / "summary.md").exists():
         return (folder / "summary.md").read_text(encoding="utf-8", errors="replace")
     arrived = [record["target"] for record in records if record["event"] == "arrived"]
-    return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {', '.join(arrived) or 'none yet'}. "
+    return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {markdown(', '.join(arrived)) or 'none yet'}. "
             "Continue it with `meta-evolve transfer --run RUN --resume` and the settings of its config.json.")  # fmt: skip
 
 

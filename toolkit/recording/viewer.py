@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from rerun.chunk import Chunk, RrdReader
 
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 from toolkit.recording.programs import viewer_program
 from toolkit.recording.stream import FILM
-from toolkit.shell import told
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

@@ -37,6 +37,10 @@ pre { overflow-x: auto; background: #f4f4f4; padding: .6rem; font-size: .8rem; }
 """
 
 
+class _Html(str):
+    """HTML, as opposed to a text that is shown in it."""
+
+
 def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: Path | None = None,
                  progress: Callable[[str], None] = lambda what: None) -> Path:  # fmt: skip
     """Write the page and its pictures; works on a run that goes on, or was stopped, too.
@@ -168,7 +172,7 @@ def _targets(config: dict[str, Any], records: list[dict[str, Any]], report: dict
         native, merged = both["native"], both["merged"]
         low, high = native["ci95"]
         bar = f'<span class="bar" style="width:{4 * native["success_rate"]:.2f}em"></span>'
-        rows.append([name, f"{bar}{native['successes']} of {native['episodes']}", f"{low:.2f} to {high:.2f}",
+        rows.append([name, _Html(f"{bar}{native['successes']} of {native['episodes']}"), f"{low:.2f} to {high:.2f}",
                      f"{merged['successes']} of {merged['episodes']}"])  # fmt: skip
     return _table(head, rows)
 
@@ -205,16 +209,18 @@ def _trouble(phases: dict[str, Phase]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """An HTML table; text that starts with a tag is taken as it is."""
-    cell = lambda value: str(value) if str(value).startswith("<span") else html.escape(str(value))  # noqa: E731
+    """An HTML table; every text is escaped but what this page wrote as HTML itself."""
+    cell = lambda value: str(value) if isinstance(value, _Html) else html.escape(str(value))  # noqa: E731
     number = lambda value: ' class="number"' if isinstance(value, int) else ""  # noqa: E731
     body = "".join("<tr>" + "".join(f"<td{number(value)}>{cell(value)}</td>" for value in row) + "</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{"".join(f"<th>{h}</th>" for h in head)}</tr></thead><tbody>{body}</tbody></table></div>'
+    heads = "".join(f"<th>{html.escape(h)}</th>" for h in head)
+    return f'<div class="wide"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _figure(pictures: dict[str, bytes], name: str, caption: str) -> str:
     data = base64.b64encode(pictures[name]).decode()
-    return f'<figure><img alt="{name}" src="data:image/png;base64,{data}"><figcaption>{html.escape(caption)}</figcaption></figure>'
+    picture = f'<img alt="{html.escape(name)}" src="data:image/png;base64,{data}">'
+    return f"<figure>{picture}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
 def _read(file: Path) -> str:
