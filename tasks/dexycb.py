@@ -13,16 +13,14 @@ becomes text, lists and maps whatever its tags, arrays are read without pickle a
 """
 
 import re
-import struct
-import tokenize
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+
+from tasks.npz import ArrayError, Arrays
 
 YCB_NAMES: tuple[str, ...] = (
     "002_master_chef_can", "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
@@ -41,18 +39,22 @@ DEPTH = (0.1, 5.0)
 """[m] in which whatever a camera sees lies in front of it; values outside are in other units or another frame."""
 HAND_REACH = (0.08, 0.30)
 """[m] from the wrist to the joint farthest from it, from a small child's fist to a very long hand."""
-TABLE_BAND = (-0.15, 0.5)
-"""[m] above the tag's table in which the grasped object's centre lies when it is first seen."""
+TABLE_BAND = (-0.1, 0.3)
+"""[m] above the tag's table in which an object's frame lies when it is first seen."""
+CARRIED = 0.1
+"""[m] of travel from which on an object was picked up, as every recording shows; it then rises by RISE of that at least."""
+CLEARLY = 0.2
+"""How far fingers bend, in shares of their length, for it to tell a right hand from a left one."""
+RISE = 0.25
+"""Share of an object's travel."""
 AGREEMENT = 0.05
-"""[m] by which an object in labels and in pose.npz may differ."""
+"""[m] by which an object in labels and in pose.npz may differ, or a hand in two cameras."""
+TURNED = np.deg2rad(5.0)
+"""[rad] likewise of an object's rotation."""
 LARGEST_YAML = 1 << 20
 """[bytes]"""
 LARGEST_MESH = 1 << 28
 """[bytes]"""
-_BROKEN = (
-    zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, EOFError, ValueError, NotImplementedError, RuntimeError,
-    OSError, KeyError, MemoryError, OverflowError, SyntaxError, TypeError,
-)  # fmt: skip
 _TAGS = {f"tag:yaml.org,2002:{tag}" for tag in ("str", "seq", "map", "int", "float", "python/tuple")}
 
 
@@ -147,19 +149,68 @@ def read_recording(root: Path, name: str, frame_rate: float = FRAME_RATE) -> Rec
     joints = joints @ tag_from_world[:3, :3].T + tag_from_world[:3, 3]
     table = tag_from_world @ poses
     positions, rotations = table[..., :3, 3], table[..., :3, :3]
-    start = positions[np.isfinite(positions[:, meta.grasped, 2]), meta.grasped][0]
-    if not TABLE_BAND[0] < start[2] < TABLE_BAND[1] or np.abs(start[:2]).max() > 3.0:
-        raise RecordingError(
-            folder / "pose.npz", "pose_y", f"the grasped object first {TABLE_BAND[0]} to {TABLE_BAND[1]} m above the tag's table",
-            f"({start[0]:.3g}, {start[1]:.3g}, {start[2]:.3g}) m from the tag",
-            f"check apriltag in extrinsics_{meta.extrinsics} and its unit",
-        )  # fmt: skip
+    odd = _against_the_table(positions, meta.grasped)
+    if odd is not None:
+        inverse = _against_the_table((world_from["apriltag"] @ poses)[..., :3, 3], meta.grasped) is None
+        why = "they would be with the inverse of that pose: it is to be tag to master" if inverse else "and its unit"
+        raise RecordingError(folder / "pose.npz", "pose_y", *odd, f"check apriltag in extrinsics_{meta.extrinsics}: {why}")
+    bent = _bent_like_a_right_hand(joints)
+    if abs(bent) > CLEARLY and (bent > 0) != (meta.side == "right"):
+        shown = "right" if bent > 0 else "left"
+        raise RecordingError(folder / "meta.yml", "mano_sides", f"the {shown} hand that joint_3d shows", meta.side)
     mirrored = meta.side == "left"
     if mirrored:
         flip = np.diag([-1.0, 1.0, 1.0])
         joints, positions, rotations = joints @ flip, positions @ flip, flip @ rotations @ flip
     names = tuple(YCB_NAMES[i - 1] for i in meta.ycb_ids)
     return Recording(name, meta.side, mirrored, float(frame_rate), names, meta.grasped, joints, positions, rotations, cameras)
+
+
+def grasped_object(root: Path, name: str) -> str:
+    """YCB name of the object that a recording is about, from its meta.yml alone.
+
+    Raises:
+        RecordingError: that file is missing or broken.
+    """
+    meta = _Meta(Path(root) / name / "meta.yml")
+    return YCB_NAMES[meta.ycb_ids[meta.grasped] - 1]
+
+
+def _bent_like_a_right_hand(joints: np.ndarray) -> float:
+    """How far the fingers of a hand (F, 21, 3) bend to the palm of a right hand, in shares of their length; of a left one negative.
+
+    The mean over frames and fingers. The palm of a right hand faces along the cross product of the ways from its wrist to the index
+    finger's knuckle and to the little finger's.
+    """
+    seen = joints[np.isfinite(joints[:, 0, 0])]
+    place = lambda finger, part: seen[:, JOINT_NAMES.index(f"{finger}_{part}")]  # noqa: E731
+    palm = np.cross(place("index", "mcp") - seen[:, 0], place("little", "mcp") - seen[:, 0])
+    palm /= np.maximum(np.linalg.norm(palm, axis=1, keepdims=True), 1e-9)
+    shares = []
+    for finger in FINGERS[1:]:
+        chain = [place(finger, part) for part in ("mcp", "pip", "dip", "tip")]
+        length = sum(np.linalg.norm(b - a, axis=1) for a, b in zip(chain, chain[1:], strict=False))
+        shares.append(((chain[-1] - chain[0]) * palm).sum(axis=1) / np.maximum(length, 1e-9))
+    return float(np.mean(shares))
+
+
+def _against_the_table(positions: np.ndarray, grasped: int) -> tuple[str, str] | None:
+    """What is expected of objects (F, K, 3) [m] on a table with z up, and what is found; None if they may stand there.
+
+    Every object lies on the table when it is first seen, and the grasped one, once it has been carried, has risen.
+    """
+    for k in range(positions.shape[1]):
+        seen = positions[np.isfinite(positions[:, k, 2]), k]
+        if len(seen) and (not TABLE_BAND[0] < seen[0, 2] < TABLE_BAND[1] or np.abs(seen[0, :2]).max() > 3.0):
+            x, y, z = seen[0]
+            return (f"objects that are first {TABLE_BAND[0]} to {TABLE_BAND[1]} m above the tag's table",
+                    f"object {k} at ({x:.3g}, {y:.3g}, {z:.3g}) m from the tag")  # fmt: skip
+    way = positions[np.isfinite(positions[:, grasped, 2]), grasped]
+    way = way - way[0]
+    travel, rise = float(np.linalg.norm(way, axis=1).max()), float(way[:, 2].max())
+    if travel > CARRIED and rise < RISE * travel:
+        return "the grasped object picked up from the tag's table", f"one that travels {travel:.2f} m and rises {max(rise, 0.0):.2f} m"
+    return None
 
 
 # ---- YAML ------------------------------------------------------------------------------------------------------------
@@ -300,7 +351,9 @@ def _extrinsics(file: Path, meta: _Meta) -> dict[str, np.ndarray]:
 def _rigid(file: Path, key: str, matrix: np.ndarray) -> np.ndarray:
     """The (3, 4) matrix itself, if its left part is a rotation."""
     R = matrix[:, :3]
-    if not np.isfinite(matrix).all() or np.abs(R @ R.T - np.eye(3)).max() > 0.02 or np.linalg.det(R) < 0.9:
+    if not np.abs(matrix).max() < 1e6:  # NaN included; squares of the rest do not overflow
+        raise RecordingError(file, key, "a rotation and a translation", f"{np.abs(matrix).max():.3g}")
+    if np.abs(R @ R.T - np.eye(3)).max() > 0.02 or np.linalg.det(R) < 0.9:
         raise RecordingError(file, key, "a rotation and a translation", "a matrix that is not orthonormal")
     return matrix
 
@@ -309,63 +362,31 @@ def _rigid(file: Path, key: str, matrix: np.ndarray) -> np.ndarray:
 
 
 class _Arrays:
-    """Arrays of an .npz file: each is checked against what it must be before a byte of it is read."""
+    """An .npz file of a recording, whose errors name it."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        if not file.is_file():
-            raise RecordingError(file, "", "a file", "none")
         try:
-            self._zip = zipfile.ZipFile(file)
-            self._members = set(self._zip.namelist())
-        except _BROKEN as error:
-            raise self._broken("", error) from None
+            self._arrays = Arrays(file)
+        except ArrayError as error:
+            raise self._named(error) from None
 
     def __enter__(self) -> "_Arrays":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._zip.close()
+        self._arrays.__exit__()
 
-    def _broken(self, key: str, error: BaseException) -> RecordingError:
-        why = str(error).split("\n")[0][:80] or type(error).__name__
-        return RecordingError(self.file, key, "a whole .npz file", f"one that is truncated or damaged ({why})")
+    def _named(self, error: ArrayError) -> RecordingError:
+        return RecordingError(self.file, error.key, error.expected, error.found)
 
     def read(self, key: str, shape: tuple[int, ...], kind: str = "f", content: bool = True) -> np.ndarray | None:
         """An array of exactly this shape, finite; kind "f" float32 or float64, "u" uint8. Without ``content`` only its header is
         read."""
-        if f"{key}.npy" not in self._members:
-            known = ", ".join(sorted(member.removesuffix(".npy")[:30] for member in self._members)[:8]) or "nothing"
-            raise RecordingError(self.file, key, "this key", f"only {known}")
         try:
-            with self._zip.open(f"{key}.npy") as stream:
-                version = np.lib.format.read_magic(stream)
-                header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                found, fortran, dtype = header(stream)
-                self._check(key, shape, kind, found, dtype)
-                if not content:
-                    return None
-                size = int(np.prod(shape)) * dtype.itemsize
-                data = stream.read(size)
-                # The end of the member is where its checksum is compared.
-                if len(data) != size or stream.read(1):
-                    raise EOFError("its data are shorter or longer than its header says")
-        except RecordingError:
-            raise
-        except _BROKEN as error:
-            raise self._broken(key, error) from None
-        array = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C").astype(np.float64)
-        if not np.isfinite(array).all():
-            where = np.argwhere(~np.isfinite(array))[0].tolist()
-            raise RecordingError(self.file, key, "finite numbers", f"{array[tuple(where)]} at {where}")
-        return array
-
-    def _check(self, key: str, shape: tuple[int, ...], kind: str, found: tuple[int, ...], dtype: np.dtype) -> None:
-        wanted = ("float32", "float64") if kind == "f" else ("uint8",)
-        if dtype.name not in wanted:
-            raise RecordingError(self.file, key, f"dtype {' or '.join(wanted)}", str(dtype)[:40])
-        if found != shape:
-            raise RecordingError(self.file, key, f"shape {shape}", f"{found}"[:80])
+            return self._arrays.read(key, shape, ("float32", "float64") if kind == "f" else ("uint8",), content=content)
+        except ArrayError as error:
+            raise self._named(error) from None
 
 
 def _poses(file: Path, meta: _Meta) -> np.ndarray:
@@ -413,6 +434,29 @@ def _matrices(quaternion: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
+def _angle(A: np.ndarray, B: np.ndarray) -> float:
+    """[rad] between two rotations (3, 3)."""
+    return float(np.arccos(np.clip((np.trace(A.T @ B) - 1) / 2, -1.0, 1.0)))
+
+
+def _read_w_first(R: np.ndarray) -> np.ndarray:
+    """The rotation that four numbers mean w first, of which R (3, 3) is what they mean w last; up to a sign of all."""
+    w, x, y, z = (float(n) for n in _w_first_quaternion(R))
+    return _matrices(np.array([[y, z, w, x]]))[0]  # the file's numbers are x, y, z, w of R; w first, they are w, x, y, z
+
+
+def _w_first_quaternion(R: np.ndarray) -> np.ndarray:
+    """(4,) w, x, y, z of a rotation (3, 3): the eigenvector of Bar-Itzhack (2000), sound for every angle."""
+    K = np.array([
+        [R[0, 0] - R[1, 1] - R[2, 2], R[1, 0] + R[0, 1], R[2, 0] + R[0, 2], R[2, 1] - R[1, 2]],
+        [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], R[2, 1] + R[1, 2], R[0, 2] - R[2, 0]],
+        [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], R[1, 0] - R[0, 1]],
+        [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)],
+    ])  # fmt: skip
+    x, y, z, w = np.linalg.eigh(K)[1][:, -1]
+    return np.array([w, x, y, z])
+
+
 def _hands(folder: Path, meta: _Meta, world_from: dict[str, np.ndarray], poses: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Joints (F, 21, 3) in the world from the first camera that sees the hand, master first; NaN where none does."""
     cameras = [serial for serial in world_from if serial != "apriltag" and (folder / serial).is_dir()]
@@ -430,7 +474,28 @@ def _hands(folder: Path, meta: _Meta, world_from: dict[str, np.ndarray], poses: 
                 break
     if not any(seen_by):
         raise RecordingError(folder, "joint_3d", "a hand in a frame", "none in any frame")
+    _other_cameras(folder, meta, world_from, poses, cameras, joints, seen_by)
     return joints, tuple(seen_by)
+
+
+def _other_cameras(
+    folder: Path, meta: _Meta, world_from: dict[str, np.ndarray], poses: np.ndarray, cameras: list[str], joints: np.ndarray,
+    seen_by: list[str],
+) -> None:  # fmt: skip
+    """Compare what every camera says, in a few frames, with what was taken of joints (F, 21, 3) and poses: they see one scene."""
+    seen = [frame for frame, serial in enumerate(seen_by) if serial]
+    for serial in cameras:
+        for frame in sorted({seen[0], seen[len(seen) // 2], seen[-1]}):
+            file = folder / serial / f"labels_{frame:06d}.npz"
+            if serial == seen_by[frame] or not file.is_file():
+                continue
+            in_camera = _label(file, meta, world_from[serial], poses[frame])
+            if in_camera is None:
+                continue
+            apart = np.linalg.norm(in_camera @ world_from[serial][:3, :3].T + world_from[serial][:3, 3] - joints[frame], axis=1).max()
+            if apart > AGREEMENT:
+                raise RecordingError(file, "joint_3d", f"the hand within {AGREEMENT} m of where camera {seen_by[frame]} sees it",
+                                     f"{apart:.3g} m away", "check this camera's extrinsics: camera to master")  # fmt: skip
 
 
 def _label(file: Path, meta: _Meta, world_from_camera: np.ndarray, poses: np.ndarray) -> np.ndarray | None:
@@ -447,7 +512,13 @@ def _label(file: Path, meta: _Meta, world_from_camera: np.ndarray, poses: np.nda
         apart = np.linalg.norm(world_from_camera[:3, :3] @ here[:, 3] + world_from_camera[:3, 3] - there[:3, 3])
         if apart > AGREEMENT:
             raise RecordingError(file, f"pose_y[{meta.grasped}]", f"the object within {AGREEMENT} m of where pose.npz has it",
-                                 f"{apart:.3g} m away", "check the unit and this camera's extrinsics")  # fmt: skip
+                                 f"{apart:.3g} m away", "check the unit and this camera's extrinsics: camera to master")  # fmt: skip
+        turned = _angle(world_from_camera[:3, :3] @ here[:, :3], there[:3, :3])
+        if turned > TURNED:
+            w_first = _angle(world_from_camera[:3, :3] @ here[:, :3], _read_w_first(there[:3, :3])) < TURNED
+            mend = "pose.npz has its quaternions w first; the format is x, y, z, w" if w_first else "are the quaternions x, y, z, w?"
+            raise RecordingError(file, f"pose_y[{meta.grasped}]", f"the object turned as in pose.npz to {np.rad2deg(TURNED):.0f} degrees",
+                                 f"{np.rad2deg(turned):.0f} degrees between them", mend)  # fmt: skip
     if (joints == -1.0).all():
         return None
     _in_view(file, "joint_3d", joints[:, 2], np.ones(len(joints), bool))

@@ -309,7 +309,7 @@ def test_a_changed_file_is_named(copy, name, harm):
 def test_a_truncated_manifest(copy, share):
     data = (copy / MANIFEST).read_bytes()
     (copy / MANIFEST).write_bytes(data[: int(share * len(data))])
-    with pytest.raises(ToolkitError, match="truncated or no JSON"):
+    with pytest.raises(ToolkitError, match="not JSON"):
         load_bundle(copy)
 
 
@@ -439,14 +439,14 @@ def test_broken_golden_arrays_are_named(copy, spoil):
     spoil(arrays)
     np.savez(copy / "golden.npz", **arrays)
     rehash(copy, "golden.npz")
-    with pytest.raises(ToolkitError, match="has golden array '(actions|observations|episode_goal)'"):
+    with pytest.raises(ToolkitError, match="golden array '(actions|observations|episode_goal)'"):
         load_bundle(copy)
 
 
 def test_golden_arrays_that_hold_objects_are_refused(copy):
-    np.savez(copy / "golden.npz", actions=np.array([{"a": 1}], dtype=object))
+    np.savez(copy / "golden.npz", observations=np.array([{"a": 1}], dtype=object))
     rehash(copy, "golden.npz")
-    with pytest.raises(ToolkitError, match="holds no plain arrays"):
+    with pytest.raises(ToolkitError, match="golden array .* dtype float64"):
         load_bundle(copy)
 
 

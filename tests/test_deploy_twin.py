@@ -87,8 +87,8 @@ def test_poses_and_joint_angles_do_the_task_on_a_position_controlled_arm(served,
     runtime = Runtime(load_bundle(name), driver.connect(), form)
     driver.begin(10**9)
     outcome = play(runtime, driver, TickLog(None, {}), "lockstep")
-    assert outcome.success and driver.result()["success"] and not outcome.faults, outcome
-    driver._socket.close()
+    assert outcome.success and driver.result()[0] and not outcome.faults, outcome
+    driver.leave()
 
 
 class Tardy:
@@ -137,7 +137,7 @@ def test_a_stopped_twin_takes_no_commands(bundle, served):
     for odd in ({"do": "dance"}, {"do": "send", "command": {"form": "osc"}}, {"do": "send", "command": short}):
         with pytest.raises(ToolkitError, match="the twin refuses"):
             driver._ask(odd)
-    driver._socket.close()
+    driver.leave()
 
 
 def test_nobody_at_the_other_end():

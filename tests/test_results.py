@@ -15,16 +15,20 @@ from toolkit.runs import Run
 def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_foam_brick"):
     """A run folder as a transfer leaves it, with two paths to the targets left and right."""
     run = Run.create(folder / name, {"targets": ["left", "right"], "transfer": {"threshold": 0.66, "xi": 0.03}})
-    evaluation = {"episodes": 200, "successes": successes, "success_rate": successes / 200, "ci95": [0.5, 0.97]}
+    evaluation = {"episodes": 200, "successes": successes, "success_rate": successes / 200, "ci95": [0.5, 0.97], "seed": 10**9}
     paths = {"path 1": epochs, "path 2": 7}
     for path in paths:
-        run.append_metrics({"event": "check", "path": path, "success": 0.75, "sim_epochs": 12, "check_episodes": 16})
-    run.write_json("tree", {"length": 3.0})
+        run.append_metrics({"event": "check", "path": path, "stage": "evolve", "success": 0.75, "train_iterations": 3, "sim_epochs": 12,
+                            "check_episodes": 16, "diverged": 0})  # fmt: skip
+    nodes = [{"name": n, "kind": "target" if n != "hand" else "source", "alpha": [0.5]} for n in ("hand", "left", "right")]
+    edges = [{"from": "hand", "to": n, "length": 1.5} for n in ("left", "right")]
+    run.write_json("tree", {"metric": "l1", "kind": kind, "length": 3.0, "nodes": nodes, "edges": edges})
     run.write_json("report", {
         "targets": {t: {"native": evaluation, "merged": evaluation | {"successes": 199}} for t in ("left", "right")},
         "train_iterations": {path: 3 for path in paths}, "sim_epochs": paths, "check_episodes": {path: 16 for path in paths},
         "routes": {"path 1": ["hand", "left"], "path 2": ["hand", "right"]},
         "totals": {"train_iterations": 6, "sim_epochs": epochs + 7, "check_episodes": 32, "diverged": 0},
+        "wall_s": 100.0,
         "time": {"wall_s": 90.0}, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "path": "straight", "task": task,
     })  # fmt: skip
     return run.path
@@ -115,7 +119,7 @@ def test_a_run_without_a_report_is_left_out(tmp_path):
 def test_a_damaged_report_is_named(tmp_path):
     path = finished(tmp_path, "tree-0", 0, 1, 1)
     (path / "report.json").write_text('{"targets": ')
-    with pytest.raises(ToolkitError, match=r"report\.json is missing or damaged"):
+    with pytest.raises(ToolkitError, match=r"report\.json is not JSON: truncated or damaged"):
         read_result(path)
 
 

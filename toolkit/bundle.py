@@ -12,19 +12,19 @@ imports neither torch nor robosuite.
 """
 
 import hashlib
-import io
-import json
 import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
+from tasks.npz import BROKEN, ArrayError, Arrays
 from toolkit.errors import ToolkitError
 from toolkit.export import OnnxPolicy, onnx_from_bytes
+from toolkit.jsonfiles import parsed
 from toolkit.manifest import Manifest, read_manifest
+from toolkit.quoting import told
 
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"
@@ -76,7 +76,7 @@ def find_bundle(name: str | Path) -> Path:
     if str(name) in shipped:
         return shipped[str(name)]
     listed = f"shipped are: {', '.join(shipped)}" if shipped else "none is shipped with this installation"
-    raise ToolkitError(f"bundle {name} does not exist; {listed}; or write one: meta-evolve export RUN --target T --out {name}")
+    raise ToolkitError(f"bundle {name} does not exist; {listed}; or write one: {told('export', 'RUN', '--target', 'T', '--out', name)}")
 
 
 def shipped_bundles() -> dict[str, Path]:
@@ -97,7 +97,8 @@ def load_bundle(path: str | Path) -> Bundle:
     missing = [name for name in FILES if name not in files]
     if missing:
         raise ToolkitError(f"bundle {path} has no {missing[0]}; copy or export it again, whole")
-    manifest = read_manifest(_json(files[MANIFEST], f"{path}/{MANIFEST}"), f"{path}/{MANIFEST}")
+    content = parsed(files[MANIFEST], f"{path}/{MANIFEST}", "copy or export the bundle again")
+    manifest = read_manifest(content, f"{path}/{MANIFEST}")
     for name in HASHED:
         found, wanted = hashlib.sha256(files[name]).hexdigest(), manifest.sha256.get(name)
         if found != wanted:
@@ -107,7 +108,7 @@ def load_bundle(path: str | Path) -> Bundle:
             )
     policy = onnx_from_bytes(files[ONNX], f"{path}/{ONNX}")
     _same_policy(manifest, policy, path)
-    golden = _golden(files[GOLDEN], manifest, f"{path}/{GOLDEN}")
+    golden = read_golden(files[GOLDEN], manifest, f"{path}/{GOLDEN}")
     try:
         mjcf = files[MJCF].decode("utf-8")
     except UnicodeDecodeError as error:
@@ -121,9 +122,13 @@ def _read_folder(path: Path) -> dict[str, bytes]:
         file = path / name
         if not file.is_file():
             continue
-        if file.stat().st_size > LARGEST_FILE:
-            raise ToolkitError(f"{file} has {file.stat().st_size} bytes, too many for a bundle; export it again")
-        out[name] = file.read_bytes()
+        try:
+            size = file.stat().st_size
+            if size > LARGEST_FILE:
+                raise ToolkitError(f"{file} has {size} bytes, too many for a bundle; export it again")
+            out[name] = file.read_bytes()
+        except OSError as error:
+            raise ToolkitError(f"{file} cannot be read ({error.strerror}); copy or export the bundle again") from None
     return out
 
 
@@ -143,16 +148,9 @@ def _read_zip(path: Path) -> dict[str, bytes]:
                 if len(content) > LARGEST_FILE:
                     raise ToolkitError(f"{path}/{where.name} has more than {LARGEST_FILE} bytes, too many for a bundle; export it again")
                 out[where.name] = content
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise ToolkitError(f"{path} is no bundle ({error}); give the folder of an export, or its .zip") from error
+    except BROKEN as error:
+        raise ToolkitError(f"{path} is no bundle ({str(error)[:120]}); give the folder of an export, or its .zip") from error
     return out
-
-
-def _json(content: bytes, where: str) -> Any:
-    try:
-        return json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise ToolkitError(f"{where} is truncated or no JSON ({error}); copy or export the bundle again") from error
 
 
 def _same_policy(manifest: Manifest, policy: OnnxPolicy, path: Path) -> None:
@@ -193,22 +191,19 @@ def golden_shapes(manifest: Manifest) -> dict[str, tuple[int, ...]]:
     }  # fmt: skip
 
 
-def _golden(content: bytes, manifest: Manifest, where: str) -> dict[str, np.ndarray]:
-    """The arrays, every one of the shape that the manifest implies, none with anything but finite float64."""
+def read_golden(content: bytes, manifest: Manifest, where: str) -> dict[str, np.ndarray]:
+    """The arrays of golden.npz, every one of the shape that the manifest implies, none with anything but finite float64.
+
+    Raises:
+        ToolkitError: one is not; ``where`` names the file.
+    """
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > LARGEST_FILE:
-                raise ToolkitError(f"{where} would unpack to more than {LARGEST_FILE} bytes; export the bundle again")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, NotImplementedError) as error:
-        raise ToolkitError(f"{where} is damaged or holds no plain arrays ({error}); export the bundle again") from error
-    for name, shape in golden_shapes(manifest).items():
-        array = arrays.get(name)
-        if array is None or array.shape != shape or array.dtype != np.float64 or not np.isfinite(array).all():
-            found = "missing" if array is None else f"{array.dtype} of shape {array.shape}"
-            raise ToolkitError(f"{where} has golden array {name!r} {found}, not finite float64 of shape {shape}; export the bundle again")
-    return arrays
+        with Arrays(content) as file:
+            return {name: file.read(name, shape, ("float64",), LARGEST_FILE) for name, shape in golden_shapes(manifest).items()}
+    except ArrayError as error:
+        named = f"golden array {error.key!r}" if error.key else "the file"
+        raise ToolkitError(f"{where} is damaged: {named} is not as the manifest says (expected {error.expected}, found {error.found}); "
+                           "export the bundle again") from None  # fmt: skip
 
 
 def check_bundle(bundle: Bundle) -> dict[str, Any]:

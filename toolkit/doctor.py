@@ -175,14 +175,14 @@ def _recording() -> Check:
     import rerun as rr
 
     from toolkit.recording.stream import Stream
-    from toolkit.recording.viewer import reader_of
+    from toolkit.recording.viewer import chunks_of
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "probe.rrd"
         stream = Stream(file)
         stream.row("probe", 0.0, 0, rr.Scalars(1.0))
         stream.close()
-        good = any(chunk.entity_path == "/probe" for chunk in reader_of(file).stream())
+        good = any(chunk.entity_path == "/probe" for chunk in chunks_of(file))
         size = file.stat().st_size
     mend = "" if good else "pip install --force-reinstall rerun-sdk"
     return Check("Rerun recording", good, f"{size} bytes written and read back" if good else "what was written is not there", mend)

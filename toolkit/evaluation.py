@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -279,5 +280,11 @@ def _outcomes(jobs: Sequence[tuple], workers: int) -> Iterator[bool]:
     if workers == 1 or len(jobs) < 4:
         yield from map(_play_natively, jobs)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
-        yield from pool.map(_play_natively, jobs, chunksize=2)
+    try:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
+            yield from pool.map(_play_natively, jobs, chunksize=2)
+    except BrokenProcessPool:
+        raise ToolkitError(
+            f"one of {workers} processes that evaluate was killed, perhaps for want of memory, and its episodes are not known; free "
+            "memory and evaluate again"
+        ) from None

@@ -15,6 +15,7 @@ from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
 from toolkit.morphology.build import MergedRobot
+from toolkit.quoting import told
 from toolkit.runs import Run, generator_from_state, generator_state
 from toolkit.simulation.rollout import RolloutEngine
 
@@ -387,7 +388,7 @@ def load_expert(source: str, task: str, name: str | None = None) -> tuple[Gaussi
     if not policy_file.is_file():
         raise ToolkitError(
             f"no expert is shipped for source {source!r} and task {task!r}; there are: {', '.join(shipped_experts()) or 'none'}; "
-            f"train one with: meta-evolve expert --source {source} --task {task}"
+            f"train one with: {told('expert', '--source', source, '--task', task)}"
         )
     policy = GaussianPolicy.load(policy_file, entry_names(OBSERVATION), entry_names(ACTION))
     return policy, ValueFunction.load(value_file, entry_names(OBSERVATION))

@@ -16,6 +16,7 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as onnxruntime_errors
 
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import parsed_object
 
 if TYPE_CHECKING:  # these two pull in torch and onnx, which a machine that only loads does not have
     import onnx
@@ -24,6 +25,9 @@ if TYPE_CHECKING:  # these two pull in torch and onnx, which a machine that only
 
 OPSET, IR_VERSION = 17, 8
 """ONNX of mid-2022: old enough for every runtime still in use; nothing newer is needed."""
+
+LARGEST_VECTOR = 10_000
+"""Numbers of an input or of the action; a graph that asks for more is none of ours."""
 
 METADATA_KEY = "meta_evolve"
 """Key of the model's metadata_props under which the caller's JSON travels."""
@@ -231,24 +235,27 @@ def onnx_from_bytes(content: bytes, where: str) -> OnnxPolicy:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)  # it prints
+        text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)  # as text: it may be none
     except _LOAD_ERRORS as error:
         raise ToolkitError(f"{where} is damaged or is not ONNX ({error}); export the policy again.") from error
-    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
     entries = [*session.get_inputs(), *session.get_outputs()]
     plain = all(entry.type == "tensor(float)" and [type(n) for n in entry.shape] == [int] for entry in entries)
+    plain = plain and all(0 < entry.shape[0] <= LARGEST_VECTOR for entry in entries)
     if text is None or not plain or [entry.name for entry in session.get_outputs()] != ["action"]:
         raise ToolkitError(f"{where} is ONNX, but not an exported policy; give a file that export_onnx wrote.")
-    try:
-        metadata = json.loads(text)
-    except ValueError as error:
-        raise ToolkitError(f"{where} has broken metadata ({error}); export the policy again.") from error
-    return OnnxPolicy(session, metadata)
+    return OnnxPolicy(session, parsed_object(text, f"the metadata of {where}", "export the policy again"))
 
 
 # onnxruntime's errors share no base but Exception; these are the ones that a bad file raises.
 _LOAD_ERRORS = (
     OSError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    MemoryError,
+    OverflowError,
+    onnxruntime_errors.EPFail,
     onnxruntime_errors.Fail,
     onnxruntime_errors.InvalidArgument,
     onnxruntime_errors.InvalidGraph,

@@ -517,20 +517,36 @@ def _read(kind: Any, value: Any, where: str, path: str) -> Any:
     if origin in (types.UnionType, typing.Union):
         return None if value is None else _read(arguments[0], value, where, path)
     if origin is Literal:
-        if value not in arguments or isinstance(value, bool) != isinstance(arguments[0], bool):
+        if not isinstance(value, str | int | float) or value not in arguments or isinstance(value, bool) != isinstance(arguments[0], bool):
             raise refuse(f"{_shown(value)} is not {arguments[0]!r}")
         return value
     if kind is Any:
+        if not _plain(value):
+            raise refuse("it holds a number that is not finite")
         return value
     if kind is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        try:
+            number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+        except OverflowError:  # a whole number beyond all floats
+            number = math.inf
+        if not math.isfinite(number):
             raise refuse(f"{_shown(value)} is no finite number")
-        return float(value)
+        return number
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise refuse(f"{_shown(value)} is no {kind.__name__}")
     return value
 
 
+def _plain(value: Any) -> bool:
+    """Whether all numbers in a JSON value are finite."""
+    if isinstance(value, dict | list):
+        return all(map(_plain, value.values() if isinstance(value, dict) else value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
 def _shown(value: Any) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a whole number of thousands of digits; levels without end
+        text = f"a {type(value).__name__} beyond showing"
     return text if len(text) <= 40 else text[:37] + "..."

@@ -5,23 +5,29 @@ as what determines it (policy, robot, seed, noise), a few kilobytes; playing it 
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as safetensors_bytes
 
 from tasks.pick import OBSERVATION
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import require
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.runs import write_atomically
+from toolkit.tensors import read_tensors
 
 ROLES = ("first", "last", "best", "worst", "failure")
 """Why an episode is kept. "best" and "worst" by `score`, "failure" is the first one that did not succeed."""
 FOLDER = "phases"
+_STATE = {
+    "path": str, "number": int, "stage": str, "targets": [str],
+    "takes": [{"seed": int, "noise": bool, "success": bool, "diverged": bool, "steps": int, "update": int,
+               "policy": int, "roles": [str]}],
+}  # fmt: skip
 
 
 @dataclass
@@ -114,22 +120,38 @@ def load_phase(file: Path) -> Phase:
     Raises:
         ToolkitError: the file is truncated, or not ours.
     """
+    refuse = lambda why: ToolkitError(f"{file} is truncated or not a phase of this toolkit ({why}); delete it")  # noqa: E731
     try:
-        with safe_open(file, framework="np") as opened:
-            state = json.loads((opened.metadata() or {})["state"])
-            tensors = {key: opened.get_tensor(key) for key in opened.keys()}
+        state, tensors = read_tensors(file, "phase", "state", "delete it")
+        require(state, _STATE, str(file), "delete it")
         takes = [Take(**take, alpha=tensors[f"take.{index}.alpha"]) for index, take in enumerate(state.pop("takes"))]
-        count = 1 + max((take.policy for take in takes), default=-1)
+        used = sorted({take.policy for take in takes})
+        if any(isinstance(take.score, bool) or not isinstance(take.score, int | float) for take in takes):  # -inf is a score
+            raise refuse("a score is no number")
+        if used != list(range(len(used))) or any(set(take.roles) - set(ROLES) or not take.roles for take in takes):
+            raise refuse("its episodes name policies or roles that it does not have")
         keys = ("parameters", "shift", "scale")
-        policies = [{key: tensors[f"policy.{index}.{key}"] for key in keys} for index in range(count)]
-        return Phase(**state, start=tensors["start"], end=tensors.get("end"), policies=policies, takes=takes)
-    except (KeyError, TypeError, ValueError, OSError, SafetensorError) as error:
-        raise ToolkitError(f"{file} is truncated or not a phase of this toolkit ({error}); delete it") from None
+        policies = [{key: tensors[f"policy.{index}.{key}"] for key in keys} for index in used]
+        phase = Phase(**state, start=tensors["start"], end=tensors.get("end"), policies=policies, takes=takes)
+    except (KeyError, TypeError) as error:
+        raise refuse(error) from None
+    except ToolkitError as error:
+        raise error if "or not a phase" in str(error) else refuse(error) from None
+    shapes = {array.shape for array in (phase.start, *([] if phase.end is None else [phase.end]), *(take.alpha for take in takes))}
+    if phase.name != file.stem or len(shapes) > 1 or phase.start.ndim != 1:
+        raise refuse("it is another phase's, or its robots are of different sizes")
+    return phase
 
 
-def load_phases(run: Path) -> dict[str, Phase]:
-    """Name -> phase, of all phases that a run folder holds."""
-    return {file.stem: load_phase(file) for file in sorted((run / FOLDER).glob("[!.]*.safetensors"))}
+def load_phases(run: Path, tell: Callable[[str], None] = lambda why: None) -> dict[str, Phase]:
+    """Name -> phase, of all phases of a run folder that can be read; ``tell`` is called with a sentence for each other one."""
+    found = {}
+    for file in sorted((run / FOLDER).glob("[!.]*.safetensors")):
+        try:
+            found[file.stem] = load_phase(file)
+        except ToolkitError as error:
+            tell(str(error))
+    return found
 
 
 def score(episode: Episode) -> float:

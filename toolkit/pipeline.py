@@ -21,6 +21,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.phases import Witness
+from toolkit.quoting import markdown
 from toolkit.recording.story import SHARE, Story
 from toolkit.recording.stream import Stream
 from toolkit.runs import Run
@@ -268,17 +269,17 @@ def _needed(untrained: dict[str, Any]) -> list[str]:
 def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     """The report as Markdown, for people."""
     lines = [
-        f"# {report['source']} to {', '.join(report['targets'])}: {report['task']}", "",
+        f"# {markdown(report['source'])} to {markdown(', '.join(report['targets']))}: {markdown(report['task'])}", "",
         "| target | direct, untrained | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for name, both in report["targets"].items():
         low, high = both["native"]["ci95"]
-        cells = (name, _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
+        cells = (markdown(name), _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", *_needed(report["untrained"])]
     lines += ["", "| path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|"]
     for path, route in report["routes"].items():
-        name = f"{path}: {' to '.join(route)}"
+        name = markdown(f"{path}: {' to '.join(route)}")
         lines.append(
             f"| {name} | {report['train_iterations'][path]} | {report['sim_epochs'][path]} | {report['check_episodes'][path]} |"
         )

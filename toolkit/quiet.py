@@ -6,7 +6,9 @@ Imports nothing heavy, so that a new process can be silenced before it loads rob
 import logging
 import os
 import threading
+from importlib import import_module
 from multiprocessing import parent_process
+from typing import Any
 
 
 def silence_robosuite() -> None:
@@ -25,3 +27,9 @@ def start_worker() -> None:
     """
     silence_robosuite()
     threading.Thread(target=lambda: (parent_process().join(), os._exit(1)), daemon=True).start()
+
+
+def work_quietly(module: str, function: str, *arguments: Any) -> None:
+    """A worker's whole work: the function's module is imported only once the process is silent."""
+    start_worker()
+    getattr(import_module(module), function)(*arguments)

@@ -1,6 +1,6 @@
 """Recordings of hands, retargeted to a robot hand and replayed on it: what an expert can learn from."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,12 @@ import mujoco
 import numpy as np
 
 from robots.robot import Robot
-from tasks.dexycb import FRAME_RATE, Recording, RecordingError, read_recording, read_vertices, sequences
+from tasks.dexycb import FRAME_RATE, Recording, RecordingError, grasped_object, read_recording, read_vertices, sequences
 from tasks.dexycb_scene import Scene, SceneError, scene_of
 from tasks.pick import PickTask
 from toolkit.demonstrations import Track, TrackScript
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 from toolkit.retargeting import HandModel, HandMotion, retarget, track_of
 from toolkit.simulation.plant import CLOSING, Plant, native_plant
 from toolkit.simulation.rollout import Tape, play
@@ -68,6 +69,14 @@ class Dropped:
     why: str
 
 
+@dataclass(frozen=True)
+class Broken:
+    """A recording that is not what the format says, and why."""
+
+    recording: str
+    why: str
+
+
 class Studio:
     """Retargets recordings of one root to one robot.
 
@@ -98,6 +107,46 @@ class Studio:
             return read_recording(self.root, name, self.frame_rate)
         except RecordingError as error:
             raise ToolkitError(str(error)) from None
+
+    def object_of(self, name: str) -> str:
+        """YCB name of the object that a recording is about, without reading the rest of it.
+
+        Raises:
+            ToolkitError: its meta.yml is broken.
+        """
+        try:
+            return grasped_object(self.root, name)
+        except RecordingError as error:
+            raise ToolkitError(str(error)) from None
+
+    def about(self, wanted: str | None, names: Sequence[str] = ()) -> tuple[list[str], list["Broken"], list[str]]:
+        """Recordings of an object.
+
+        Args:
+            wanted: its name; None: any.
+            names: to look among; none: all.
+
+        Returns:
+            names of those that are about it; those that do not say what they are about; and the objects that there are.
+        """
+        mine, broken, objects = [], [], set()
+        for name in names or self.names:
+            try:
+                found = self.object_of(name)
+            except ToolkitError as error:
+                broken.append(Broken(name, str(error)))
+                continue
+            objects.add(found)
+            if wanted in (None, found):
+                mine.append(name)
+        return mine, broken, sorted(objects)
+
+    def demonstration_of(self, name: str) -> "Demonstration | Dropped | Broken":
+        """Read, retarget and replay one recording; what is wrong with it is its own result, and no other's."""
+        try:
+            return self.demonstration(self.read(name))
+        except ToolkitError as error:
+            return Broken(name, str(error))
 
     def scene(self, recording: Recording) -> Scene | Dropped:
         """The pick that a recording shows.
@@ -161,19 +210,21 @@ def teachers_for(
         progress: called with recordings done, in all, and kept.
 
     Raises:
-        ToolkitError: a recording is broken, or none of the object can be followed.
+        ToolkitError: there is no recording of the object, or none that can be followed.
     """
     studio = Studio(root, robot, frame_rate)
-    recordings = [studio.read(name) for name in studio.names]
-    mine = [recording for recording in recordings if recording.object == task.object.name]
+    mine, broken, known = studio.about(task.object.name)
     if not mine:
-        known = sorted({recording.object for recording in recordings})
-        raise ToolkitError(f"{root} has no recording of {task.object.name}; it has: {', '.join(known)}")
+        more = f"; {len(broken)} say of no object that they are about it, the first: {broken[0].why}" if broken else ""
+        raise ToolkitError(f"{root} has no recording of {task.object.name}; it has: {', '.join(known) or 'none'}{more}")
     kept: list[Demonstration] = []
-    counts = {"recordings": len(mine), "dropped": 0, "failed_in_replay": 0}
-    for done, recording in enumerate(mine, 1):
-        shown = studio.demonstration(recording)
-        if isinstance(shown, Dropped) or not shown.scene.standard:
+    counts = {"recordings": len(mine), "broken": 0, "dropped": 0, "failed_in_replay": 0}
+    for done, name in enumerate(mine, 1):
+        shown = studio.demonstration_of(name)
+        if isinstance(shown, Broken):
+            counts["broken"] += 1
+            broken.append(shown)
+        elif isinstance(shown, Dropped) or not shown.scene.standard:
             counts["dropped"] += 1
         elif not shown.succeeded:
             counts["failed_in_replay"] += 1
@@ -183,7 +234,8 @@ def teachers_for(
     if not kept:
         raise ToolkitError(
             f"none of {len(mine)} recordings of {task.object.name} in {root} can be followed ({counts['failed_in_replay']} fail in "
-            "replay); see why with: meta-evolve recordings retarget"
+            f"replay, {counts['broken']} are broken{': ' + broken[-1].why if counts['broken'] else ''}); see why with: "
+            + told("recordings", "retarget", root, "--object", task.object.name)
         )
     scripts = {d.recording.name: TrackScript(d.track, np.array(task.goal_offset), CLOSING) for d in kept}
     return scripts, counts | {"followed": len(kept)}

@@ -7,7 +7,6 @@
 No number is typed: all come from report.json, tree.json and metrics.jsonl, but for the paper's own, which are cited.
 """
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,9 @@ from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, Waypoint
-from toolkit.runs import Run
+from toolkit.jsonfiles import require
+from toolkit.quoting import letters, markdown
+from toolkit.runs import Run, read_report, read_tree, transfer_records
 
 PAPER = {
     "HERD, independent": {"train_iterations": (38437, 2883), "sim_epochs": (185825, 16731)},
@@ -103,25 +104,26 @@ def read_result(folder: Path) -> Result | None:
     Raises:
         ToolkitError: the folder is no run, or one of its files is broken.
     """
-    if not (folder / "report.json").is_file():
+    report = read_report(folder)
+    if report is None:
         return None
     run = Run.open(folder)
-    content = {}
-    for name in ("report", "tree"):
-        file = folder / f"{name}.json"
+    asked = {"transfer": {"xi": float, "threshold": float}}
+    require(run.config, asked, str(folder / "config.json"), "start the run again under another --run")
+    return Result(folder.name, run.config, report, read_tree(folder), transfer_records(run), run.commit())
+
+
+def finished_runs(folder: Path) -> tuple[list[Result], list[str]]:
+    """All runs of a suite's folder that have finished, by name, and a sentence for each that cannot be read."""
+    found, broken = [], []
+    for path in sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []:
         try:
-            content[name] = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise ToolkitError(f"{file} is missing or damaged ({error}); finish the run again with --resume") from None
-    git = folder / "git.json"
-    commit = (json.loads(git.read_text()) or {}).get("commit", "unknown") if git.is_file() else "unknown"
-    return Result(folder.name, run.config, content["report"], content["tree"], run.read_metrics(), commit)
-
-
-def finished_runs(folder: Path) -> list[Result]:
-    """All runs of a suite's folder that have finished, by name."""
-    paths = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
-    return [result for path in paths if (result := read_result(path))]
+            result = read_result(path)
+        except ToolkitError as error:
+            broken.append(str(error))
+            continue
+        found += [] if result is None else [result]
+    return found, broken
 
 
 def write_results(folder: Path, title: str, command: str) -> Path:
@@ -138,9 +140,10 @@ def write_results(folder: Path, title: str, command: str) -> Path:
     Raises:
         ToolkitError: no run in the folder has finished.
     """
-    runs = finished_runs(folder)
+    runs, broken = finished_runs(folder)
     if not runs:
-        raise ToolkitError(f"{folder} holds no finished run; play the suite with: {command}")
+        more = f" ({broken[0]})" if broken else ""
+        raise ToolkitError(f"{folder} holds no finished run{more}; play the suite with: {command}")
     plot_success(runs, folder / "success.png")
     plot_curves(runs, folder / "curves.png")
     plot_cost(runs, folder / "cost.png")
@@ -210,14 +213,14 @@ def _pooled(runs: Sequence[Result], target: str) -> dict[str, Any] | None:
 def success_table(runs: Sequence[Result]) -> list[str]:
     """Markdown rows: successes of every run on each target."""
     targets = _targets(runs)
-    lines = ["| run | task | " + " | ".join(f"{t}, unmodified | {t}, F(beta)" for t in targets) + " |",
+    lines = ["| run | task | " + " | ".join(f"{markdown(t)}, unmodified | {markdown(t)}, F(beta)" for t in targets) + " |",
              "|---|---|" + "---|---|" * len(targets)]  # fmt: skip
     for run in runs:
         cells = []
         for target in targets:
             both = run.report["targets"].get(target, {})
             cells += [_rate(both.get("native")), _rate(both.get("merged"))]
-        lines.append(f"| {run.name} | {run.task} | {' | '.join(cells)} |")
+        lines.append(f"| {markdown(run.name)} | {markdown(run.task)} | {' | '.join(cells)} |")
     return lines
 
 
@@ -228,7 +231,7 @@ def cost_table(runs: Sequence[Result]) -> list[str]:
     for (method, task, targets), group in _groups(runs).items():
         cells = [_spread([run.report["totals"][key] for run in group]) for key in COSTS]
         wall = _spread([run.report["time"]["wall_s"] / 60 for run in group], digits=1)
-        lines.append(f"| {method}, to {targets} | {task} | {len(group)} | {' | '.join(cells)} | {wall} |")
+        lines.append(f"| {markdown(f'{method}, to {targets}')} | {markdown(task)} | {len(group)} | {' | '.join(cells)} | {wall} |")
     for method, numbers in PAPER.items():
         cells = [f"{mean} ± {deviation}" for mean, deviation in numbers.values()]
         lines.append(f"| paper: {method} | DexYCB | 5 | {' | '.join(cells)} | not given | not given |")
@@ -248,7 +251,7 @@ def sharing_table(runs: Sequence[Result]) -> list[str]:
             shared = run.report["totals"][key]
             cells += [str(shared), f"{alone:.0f}", f"{alone / shared:.2f}" if shared else "-"]
         else:
-            lines.append(f"| {run.name} | {', '.join(run.config['targets'])} | {' | '.join(cells)} |")
+            lines.append(f"| {markdown(run.name)} | {markdown(', '.join(run.config['targets']))} | {' | '.join(cells)} |")
     return lines
 
 
@@ -265,7 +268,7 @@ def path_table(runs: Sequence[Result]) -> list[str]:
     for run in runs:
         for path, route in run.report["routes"].items():
             cells = " | ".join(str(run.report[key][path]) for key in COSTS)
-            lines.append(f"| {run.name} | {path}: {' to '.join(route)} | {cells} |")
+            lines.append(f"| {markdown(run.name)} | {markdown(path)}: {markdown(' to '.join(route))} | {cells} |")
     return lines
 
 
@@ -297,6 +300,7 @@ def _spread(values: Sequence[float], digits: int = 0) -> str:
 _HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 
 
+@letters
 def plot_success(runs: Sequence[Result], file: Path) -> None:
     """A row per run, a panel per target: success on the unmodified robot with its 95 % interval."""
     targets = _targets(runs)
@@ -316,6 +320,7 @@ def plot_success(runs: Sequence[Result], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
+@letters
 def plot_cost(runs: Sequence[Result], file: Path) -> None:
     """Stacked bars: training and checking episodes of every run, one segment per path."""
     figure = Figure(figsize=(9, 0.4 * len(runs) + 1.4), layout="constrained")
@@ -331,6 +336,7 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
+@letters
 def plot_curves(runs: Sequence[Result], file: Path) -> None:
     """Success measured on the way against episodes played on the path, a panel per run and a curve per path."""
     columns = min(3, len(runs))
@@ -353,6 +359,7 @@ def plot_curves(runs: Sequence[Result], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
+@letters
 def plot_walk(waypoints: Sequence[Waypoint], file: Path) -> None:
     """Success of an untrained policy along every edge of a tree, a panel per edge."""
     edges = list(dict.fromkeys((w.start, w.end) for w in waypoints))

@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as safetensors_bytes
 
 from toolkit import __version__
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import content_of, parsed, parsed_object, read_object, require
+from toolkit.tensors import read_tensors
 
 RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
 BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
@@ -96,6 +97,12 @@ class Run:
             run._write_metrics(run.read_metrics())
         return run
 
+    def commit(self) -> str:
+        """Commit of the toolkit that started it; "unknown" where that was no checkout."""
+        file, mend = self.path / "git.json", "delete it"
+        found = parsed(content_of(file, mend), str(file), mend) if file.is_file() else None
+        return "unknown" if found is None else require(found, {"commit": str}, str(file), mend)["commit"]
+
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add one line to metrics.jsonl, on disk when this returns. NaN and infinities are written as null."""
         line = json.dumps(_finite(_plain(record)), allow_nan=False) + "\n"
@@ -116,16 +123,10 @@ class Run:
         file = self.path / "metrics.jsonl"
         if not file.exists():
             return []
-        *whole, _torn = file.read_bytes().split(b"\n")
+        *whole, _torn = content_of(file, "check the path").split(b"\n")
         records = []
         for number, line in enumerate(whole, start=1):
-            try:
-                record = json.loads(line)
-            except ValueError:
-                record = None
-            if not isinstance(record, dict):
-                raise ToolkitError(f"{file} line {number} is not a JSON record; delete that line")
-            records.append(record)
+            records.append(parsed_object(line, f"{file} line {number}", "delete that line"))
         return records
 
     def truncate_metrics(self, count: int) -> None:
@@ -180,15 +181,7 @@ class Run:
             known = ", ".join(self.checkpoints()) or "none"
             raise ToolkitError(f"checkpoint {file} does not exist; this run has: {known}")
         mend = "delete it and resume from another checkpoint"
-        try:
-            with safe_open(file, framework="np") as opened:
-                header = opened.metadata() or {}
-                tensors = {key: opened.get_tensor(key) for key in opened.keys()}
-            state = json.loads(header["state"])
-        except (KeyError, ValueError):
-            raise ToolkitError(f"checkpoint {file} carries no run state, so it is not ours; {mend}") from None
-        except (SafetensorError, OSError) as error:
-            raise ToolkitError(f"checkpoint {file} is truncated or damaged ({error}); {mend}") from None
+        state, tensors = read_tensors(file, "checkpoint", "state", mend)
         return tensors, state
 
     def checkpoints(self) -> list[str]:
@@ -219,6 +212,98 @@ class Run:
         if not re.fullmatch(r"\w[\w.-]*", name):
             raise ToolkitError(f"checkpoint name {name!r} is not a plain file name; use letters, digits, '.', '_' and '-'")
         return self.path / "checkpoints" / f"{name}.safetensors"
+
+
+_COUNTS = {...: int}
+_EVALUATION = {"episodes": int, "successes": int, "success_rate": float, "ci95": [float], "seed": int}
+_REPORT = {
+    "targets": {...: {"native": _EVALUATION, "merged": _EVALUATION}}, "train_iterations": _COUNTS, "sim_epochs": _COUNTS,
+    "check_episodes": _COUNTS, "routes": {...: [str]}, "totals": {"train_iterations": int, "sim_epochs": int, "check_episodes": int,
+    "diverged": int}, "wall_s": float, "time": {"wall_s": float}, "kind": str, "metric": str, "step": str, "path": str, "task": str,
+}  # fmt: skip
+_TREE = {"metric": str, "kind": str, "nodes": [{"name": str, "kind": str, "alpha": [float]}],
+         "edges": [{"from": str, "to": str, "length": float}]}  # fmt: skip
+_EVENT = {"event": str, "path": str, "stage": str, "train_iterations": int, "sim_epochs": int, "check_episodes": int, "diverged": int}
+_EVENTS = {"check": {"success": float}, "arrived": {"target": str}, "split": {"targets": str}}
+
+
+def read_success(folder: Path) -> dict[str, Any]:
+    """What a run's report says of success, routes and totals, and perhaps no more; empty while there is none.
+
+    Raises:
+        ToolkitError: it is damaged.
+    """
+    file, mend = folder / "report.json", "finish the run again with --resume"
+    if not file.is_file():
+        return {}
+    report = read_object(file, mend)
+    shape = {"targets": {...: {"native": _EVALUATION}}, "routes": {...: [str]}, "totals": _COUNTS}
+    return require(report, {key: one for key, one in shape.items() if key in report}, str(file), mend)
+
+
+def read_report(folder: Path) -> dict[str, Any] | None:
+    """The whole report of a transfer's run folder; None while it has none.
+
+    Raises:
+        ToolkitError: it is damaged, or lacks what those who read it need.
+    """
+    file, mend = folder / "report.json", "finish the run again with --resume"
+    if not file.is_file():
+        return None
+    report = require(read_object(file, mend), _REPORT, str(file), mend)
+    both = [evaluation for pair in report["targets"].values() for evaluation in (pair["native"], pair["merged"])]
+    if not all(len(e["ci95"]) == 2 and 0 <= e["successes"] <= e["episodes"] > 0 for e in both):
+        raise ToolkitError(f"{file} is damaged: an evaluation in it has no counts or no interval; {mend}")
+    lost = [path for key in ("train_iterations", "sim_epochs", "check_episodes") for path in report["routes"] if path not in report[key]]
+    if lost or not all(report["routes"].values()):
+        raise ToolkitError(f"{file} is damaged: path {(lost or ['without robots'])[0]!r} has no counts; {mend}")
+    return report
+
+
+def read_tree(folder: Path) -> dict[str, Any]:
+    """The evolution tree of a run folder.
+
+    Raises:
+        ToolkitError: it is missing or damaged.
+    """
+    file, mend = folder / "tree.json", "start the transfer again under another --run"
+    if not file.exists():
+        raise ToolkitError(f"{folder} has no tree.json yet; wait until its transfer has begun")
+    try:
+        tree = require(read_object(file, mend), _TREE, str(file), mend)
+    except ToolkitError as error:
+        raise ToolkitError(f"{file} is damaged ({error})") from None
+    names = [node["name"] for node in tree["nodes"]]
+    kinds = {node["kind"] for node in tree["nodes"]}
+    sound = (
+        len(set(names)) == len(names) and kinds <= {"source", "meta", "target"} and {"source", "target"} <= kinds
+        and len({len(node["alpha"]) for node in tree["nodes"]}) == 1
+        and len({edge["to"] for edge in tree["edges"]}) == len(tree["edges"]) == len(names) - 1  # one way into each but the source
+        and all(end in names for edge in tree["edges"] for end in (edge["from"], edge["to"]))
+    )  # fmt: skip
+    if not sound:
+        raise ToolkitError(f"{file} is damaged: its nodes and edges make no tree; {mend}")
+    return tree
+
+
+def read_nodes(folder: Path) -> dict[str, Any]:
+    """What tree.json says of its nodes, metric and kind, and perhaps no more; errors as of ``read_tree``."""
+    file, mend = folder / "tree.json", "it is written when a transfer begins"
+    return require(read_object(file, mend), {key: _TREE[key] for key in ("metric", "kind", "nodes")}, str(file), mend)
+
+
+def transfer_records(run: Run) -> list[dict[str, Any]]:
+    """The records of a transfer, each with what those who draw it need.
+
+    Raises:
+        ToolkitError: as of ``Run.read_metrics``, or a record lacks something.
+    """
+    records = run.read_metrics()
+    for number, record in enumerate(records, start=1):
+        where = f"{run.path / 'metrics.jsonl'} line {number}"
+        require(record, _EVENT, where, "delete that line")
+        require(record, _EVENTS.get(record["event"], {}), where, "delete that line")
+    return records
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -252,9 +337,9 @@ def generator_from_state(state: dict[str, Any]) -> np.random.Generator:
     Raises:
         ToolkitError: not the state of one of NumPy's generators.
     """
-    name = state.get("bit_generator")
+    name = state.get("bit_generator") if isinstance(state, dict) else state
     if name not in BIT_GENERATORS:
-        raise ToolkitError(f"random generator {name!r} is unknown; it must be one of {', '.join(BIT_GENERATORS)}")
+        raise ToolkitError(f"random generator {str(name)[:40]!r} is unknown; it must be one of {', '.join(BIT_GENERATORS)}")
     bits = getattr(np.random, name)()
     try:
         bits.state = _like(state, bits.state)
@@ -302,15 +387,9 @@ def _json_bytes(value: Any, what: str) -> bytes:
 
 
 def _read_json_object(file: Path, mend: str) -> dict[str, Any]:
-    try:
-        value = json.loads(file.read_bytes())
-    except FileNotFoundError:
-        raise ToolkitError(f"{file.parent} holds no {file.name}, so it is not a run folder; {mend}") from None
-    except (ValueError, OSError) as error:
-        raise ToolkitError(f"{file} is truncated or damaged ({error}); {mend}") from None
-    if not isinstance(value, dict):
-        raise ToolkitError(f"{file} holds no JSON object, so it is not ours; {mend}")
-    return value
+    if not file.exists():
+        raise ToolkitError(f"{file.parent} holds no {file.name}, so it is not a run folder; {mend}")
+    return read_object(file, mend)
 
 
 def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:

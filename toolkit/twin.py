@@ -8,6 +8,7 @@ a position-controlled arm: a stiff servo follows the waypoints, as an industrial
 import select
 import socket
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -49,6 +50,7 @@ class Twin:
         fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
         self._finger_names = tuple(datasheet.plain_name(model.joint(j).name) for j in fingers)
         self._qpos, self._dofs, self._finger_qpos = model.jnt_qposadr[arm], model.jnt_dofadr[arm], model.jnt_qposadr[fingers]
+        self._endless = model.jnt_limited[arm] == 0
         by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
         self._motors = np.array([by_joint[j] for j in arm])
         self._limit = np.abs(model.actuator_ctrlrange[self._motors]).max(axis=1)
@@ -73,7 +75,7 @@ class Twin:
         self._fresh = False  # whether the command has not yet reached the controller
         self._since = self._watched = 0  # substeps since the command came, and since the task was last judged
         self._clock, self._played = 0.0, 0
-        self._stopped = ""
+        self._stopped = self._broken = ""
         self._integrated = self.native.law.preshape
         self._posture = self.data.qpos[self._qpos].copy()
         self.behind = 0.0
@@ -94,7 +96,7 @@ class Twin:
         }  # fmt: skip
         broken = not all(np.isfinite(value).all() for value in found.values())
         values = {key: np.nan_to_num(np.asarray(value)).tolist() for key, value in found.items()}
-        fault = self._stopped or ("the simulation has diverged" if broken else "")
+        fault = self._stopped or self._broken or ("the simulation has diverged" if broken else "")
         return values | {"age": 0.0, "fault": fault, "outcome": self.outcome}
 
     def send(self, command: Command) -> None:
@@ -130,6 +132,15 @@ class Twin:
         return max(0.0, self._clock + (self._played + 1) * step - time.monotonic())
 
     def _play(self, substeps: int) -> None:
+        """Play; a simulation that its commands broke is stopped, not the twin."""
+        if self._broken:
+            return
+        try:
+            self._step(substeps)
+        except (ArithmeticError, ValueError, RuntimeError, mujoco.FatalError) as error:  # LinAlgError is a ValueError
+            self._broken = f"the simulation has failed ({error})"
+
+    def _step(self, substeps: int) -> None:
         sim = self.env.sim
         for _ in range(substeps):
             sim.step1()
@@ -168,7 +179,9 @@ class Twin:
     def _follow_joints(self, target: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """Torques (n,) of a computed-torque servo towards angles (n,) [rad] moving at ``speed``."""
         data = self.data
-        push = SERVO_KP * (target - data.qpos[self._qpos]) + 2 * np.sqrt(SERVO_KP) * (speed - data.qvel[self._dofs])
+        away = target - data.qpos[self._qpos]
+        away = np.where(self._endless, (away + np.pi) % (2 * np.pi) - np.pi, away)  # the shorter way, as arms without end go
+        push = SERVO_KP * away + 2 * np.sqrt(SERVO_KP) * (speed - data.qvel[self._dofs])
         return self._mass() @ push + data.qfrc_bias[self._dofs]
 
     def _follow_pose(self, target: np.ndarray, twist: np.ndarray) -> np.ndarray:
@@ -193,33 +206,93 @@ class Twin:
         return mass @ (inverse @ push + posture - inverse @ (jacobian @ posture)) + data.qfrc_bias[self._dofs]
 
 
+PATIENCE = 30.0
+"""[s] of silence after which a client gives way to a newcomer; one that has not said a sensible word yet does so at once."""
+BUSY = "it serves another client; end that one, or start a twin on another port"
+
+
+@dataclass(eq=False)
+class _Client:
+    """Who is served: the line to it, and when it last said something that makes sense [s]."""
+
+    line: wire.Line
+    heard: float = -np.inf
+
+
 def serve(twin: Twin, listener: socket.socket) -> None:
-    """Answer one client after another until one asks the twin to close."""
-    while True:
-        connection, _ = listener.accept()
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        with connection:
-            if _answer(twin, connection):
-                return
+    """Answer one client after another until one asks the twin to close.
+
+    The twin's clock goes on whatever a client does: none is waited for, in reading or in writing. Who says what makes no sense is
+    told so, where it can be, and is sent away; who comes while another is served is told so at once.
+    """
+    listener.setblocking(False)
+    client: _Client | None = None
+    try:
+        while True:
+            lines = [] if client is None else [client.line]
+            reads, writes, _ = select.select([listener, *lines], [line for line in lines if line.waiting], [], twin.catch_up())
+            if listener in reads:
+                client = _newcomer(twin, listener, client)
+            elif client is not None and (reads or writes):
+                try:
+                    ended, served = _answer(twin, client)
+                except (OSError, ToolkitError) as error:
+                    _send_away(client.line, str(error))
+                    ended, served = False, False
+                if ended:
+                    return
+                if not served:
+                    client.line.close()
+                    client = None
+                    twin.stop("the runtime has gone")
+    finally:
+        if client is not None:
+            client.line.close()
+
+
+def _newcomer(twin: Twin, listener: socket.socket, client: _Client | None) -> _Client | None:
+    """Whoever is served once somebody has knocked."""
+    try:
+        line = wire.Line(listener.accept()[0])
+    except OSError:  # gone before the door was opened, or no file is left to open it with
+        return client
+    if client is None or time.monotonic() - client.heard > PATIENCE:
+        if client is not None:
+            _send_away(client.line, "another client came while it was silent")
+            client.line.close()
             twin.stop("the runtime has gone")
+        return _Client(line)
+    _send_away(line, BUSY)
+    line.close()
+    return client
 
 
-def _answer(twin: Twin, connection: socket.socket) -> bool:
-    """Serve one client; returns whether it closed the twin."""
-    while True:
-        ready, _, _ = select.select([connection], [], [], twin.catch_up())
-        if not ready:
-            continue
-        message = wire.receive(connection)
-        if message is None:
-            return False
+def _send_away(line: wire.Line, why: str) -> None:
+    try:
+        line.post({"error": why})
+    except (OSError, ToolkitError):
+        pass
+
+
+def _answer(twin: Twin, client: _Client) -> tuple[bool, bool]:
+    """Answer what has come; returns whether the client closes the twin, and whether it is served any longer."""
+    line = client.line
+    line.push()
+    line.pull()
+    message = line.next()
+    while message is not None:
+        number = message.get("number")
         if message.get("do") == "close":
-            return True
+            return True, False
         try:
             answer = _reply(twin, message)
+            client.heard = time.monotonic()
         except ToolkitError as error:
             answer = {"error": str(error)}
-        wire.send(connection, answer)
+        line.post(answer | ({"number": number} if isinstance(number, int) else {}))
+        twin.catch_up()  # many questions at once do not stop the clock
+        message = line.next()
+    return False, not line.ended
 
 
 def _reply(twin: Twin, message: dict[str, Any]) -> dict[str, Any]:
@@ -227,17 +300,21 @@ def _reply(twin: Twin, message: dict[str, Any]) -> dict[str, Any]:
     if do == "describe":
         return twin.describe()
     if do == "begin":
-        twin.begin(int(message["seed"]))
+        seed = message.get("seed")
+        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+            raise ToolkitError(f"seed is {str(seed)[:40]!r}; give a whole number from 0 on")
+        twin.begin(seed)
     elif do == "read":
         return twin.read()
     elif do == "send":
-        command = wire.command_from_json(message["command"])
+        content = message.get("command")
+        command = wire.command_from_json(content if isinstance(content, dict) else {})
         twin.send(command)
-        return {"sent": message["command"]}
+        return {"sent": wire.command_to_json(command)}
     elif do == "stop":
-        twin.stop(str(message.get("reason", "")))
+        twin.stop(str(message.get("reason", ""))[:200])
     elif do == "result":
         return {"success": twin.outcome == "success", "behind_s": twin.behind}
     else:
-        raise ToolkitError(f"{do!r} is nothing that a twin does")
+        raise ToolkitError(f"{str(do)[:40]!r} is nothing that a twin does")
     return {}

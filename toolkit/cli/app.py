@@ -1,5 +1,6 @@
 """The commands, in the order in which --help lists them, and what becomes of their errors."""
 
+import errno
 import sys
 from collections.abc import Sequence
 
@@ -12,10 +13,12 @@ from toolkit.cli.inspection import doctor, morph, replay, report, view
 from toolkit.cli.judging import evaluate, verify
 from toolkit.cli.recordings import recordings
 from toolkit.cli.systems import match, robots
+from toolkit.cli.terminal import outlets
 from toolkit.cli.training import expert, transfer
 from toolkit.cli.trees import tree
 from toolkit.errors import ToolkitError
 from toolkit.quiet import silence_robosuite
+from toolkit.quoting import plain
 
 app = tyro.extras.SubcommandApp()
 for command in (robots, match, tree, audit, expert, transfer, evaluate, view, report, morph, replay, export, verify, deploy, twin, doctor):
@@ -23,18 +26,46 @@ for command in (robots, match, tree, audit, expert, transfer, evaluate, view, re
 app.command(recordings, name="recordings", help="Recordings of hands: make a stand-in, list, retarget to the source's hand.")
 app.command(bench, name="bench", help="Measure the toolkit itself.")
 
+SURROUNDINGS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EMFILE, errno.ENFILE, errno.EIO)
+"""What the machine refuses, rather than the tool does wrong: the last resort where no better sentence was found."""
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; exit status 0 done, 2 bad input, 1 a failure of the tool, 130 on Ctrl-C."""
+    """Run the command line; exit status 0 done, 2 bad input or no room for what comes out, 1 a failure of the tool, 130 on Ctrl-C.
+
+    The status is that of the work: a reader that has gone changes it no more than a lost line of progress does.
+    """
     silence_robosuite()
+    with outlets() as (out, _):
+        status = _run(arguments)
+        out.flush()
+        if out.lost is not None and not isinstance(out.lost, BrokenPipeError) and status in (None, 0):
+            status = _refuse(f"standard output cannot be written ({out.lost.strerror}); free space there, or send it elsewhere")
+    if status not in (None, 0):
+        raise SystemExit(status)
+
+
+def _run(arguments: Sequence[str] | None) -> int | str | None:
+    """One command; returns its exit status."""
     try:
         app.cli(prog="meta-evolve", description="Transfer a dexterous hand's policy to commercial arms by robot evolution.",
                 args=arguments)  # fmt: skip
     except ToolkitError as error:
-        print(f"meta-evolve: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except BrokenPipeError:
-        raise SystemExit(0) from None
+        return _refuse(str(error))
+    except OSError as error:
+        if error.errno not in SURROUNDINGS:  # anything else is a mistake of ours, and wants its traceback
+            raise
+        where = f"{error.filename} cannot be used" if error.filename else "a file or a connection cannot be used"
+        return _refuse(f"{where} ({error.strerror}); free space or permissions there, or choose another place")
     except KeyboardInterrupt:
         print("meta-evolve: stopped; a run continues with --resume", file=sys.stderr)
-        raise SystemExit(130) from None
+        return 130
+    except SystemExit as end:
+        return end.code
+    return 0
+
+
+def _refuse(sentence: str) -> int:
+    """Say why on stderr, in one line whatever the culprit's name holds; returns the exit status."""
+    print(f"meta-evolve: {plain(' '.join(sentence.split()))}", file=sys.stderr)
+    return 2

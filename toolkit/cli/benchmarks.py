@@ -9,6 +9,7 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.pipeline import Job
@@ -124,27 +125,38 @@ def bench_transfer(
     unknown = [name for name in only if name not in SUITES[suite]]
     if unknown:
         raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(SUITES[suite])}")
+    failed = {}
     if play:
-        _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
+        failed = _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
     from toolkit.results import finished_runs, results_json, write_results
 
-    command = f"meta-evolve bench transfer --suite {suite}"
+    command = told("bench", "transfer", "--suite", suite)
     page = write_results(out, "Results on unmodified robosuite robots", command)
-    emit(results_json(finished_runs(out)) if json else None, json, f"{page}: the table and its pictures")
+    runs, broken = finished_runs(out)
+    emit(results_json(runs) if json else None, json, f"{page}: the table and its pictures")
+    trouble = [f"{name} did not finish: {why}" for name, why in failed.items()] + [f"left out of the page: {why}" for why in broken]
+    if trouble:
+        raise ToolkitError("; ".join(trouble))
 
 
-def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> None:
+def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
+    """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
     from toolkit.expert import load_expert
     from toolkit.pipeline import Pipeline
 
     for job in jobs.values():  # say what is missing before hours are spent
         load_expert(job.source.name, job.task.name, job.expert)
+    failed = {}
     for name, job in jobs.items():
         folder = out / name
         if (folder / "report.json").is_file():
             continue
         with Progress(name, quiet) as progress:
-            Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
+            try:
+                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
+            except ToolkitError as error:
+                failed[name] = str(error)
+    return failed
 
 
 @bench.command(name="engine")
@@ -186,8 +198,8 @@ def bench_engine(
     with Progress("engine", quiet=json) as progress:
         found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
     if page is not None:
-        named = f" --robots {' '.join(robots)}" if robots else ""
-        page.write_text(performance_page(found, f"meta-evolve bench engine{named} --episodes {episodes} --page {page.name}"))
+        named = ["--robots", *robots] if robots else []
+        page.write_text(performance_page(found, told("bench", "engine", *named, "--episodes", episodes, "--page", page.name)))
     if json:
         emit(found, True, "")
         return
@@ -390,3 +402,43 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
     table(f"A tick of {loaded.manifest.robot.name}: medians of its parts and the whole, in ms; load {load:.1f}",
           ["form", "observe", "policy", "command", "half below", "99 % below", "longest"],
           [[form, *(f"{value:.2f}" for value in row.values())] for form, row in found.items()])  # fmt: skip
+
+
+@bench.command(name="fuzz")
+def bench_fuzz(
+    bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
+    files: int = 2000,
+    formats: tuple[str, ...] = (),
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Damage files of every format that is read, and see that each is refused by a sentence or read.
+
+    Exit status 1 if a reader raises anything but its sentence, ends its process, takes 2 GiB, or takes half a minute.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle, which is damaged.
+        files: of each format.
+        formats: which; default: all.
+        seed: of the damage.
+        json: print one JSON object.
+    """
+    from toolkit.bundle import find_bundle
+    from toolkit.fuzz import FORMATS, fuzz
+
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown or files < 1 or seed < 0:
+        raise ToolkitError(f"formats are {', '.join(formats) or 'all'}, files {files} and seed {seed}; give at least one file, a seed "
+                           f"from 0 on, and formats of: {', '.join(FORMATS)}")  # fmt: skip
+    found = []
+    with Progress("fuzz", quiet=json) as progress:
+        shown = lambda name, done: progress.show(name, f"{done} of {files} read", done, files, now=done == files)  # noqa: E731
+        for tally in fuzz(formats or tuple(FORMATS), files, seed, find_bundle(bundle), shown):
+            found.append(tally)
+    if json:
+        emit({"seed": seed, "formats": [tally.to_json() for tally in found]}, True, "")
+    else:
+        table("Damaged files", ["format", "files", "refused by a sentence", "read", "broke the reader", "slowest", "first"],
+              [[t.format, t.files, t.refused, t.read, t.broken.total(), f"{1e3 * t.slowest:.0f} ms", t.first] for t in found])  # fmt: skip
+    if any(tally.broken for tally in found):
+        raise SystemExit(1)

@@ -10,6 +10,7 @@ import tyro
 from toolkit.cli.names import find_robot, find_task, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     import subprocess
@@ -33,7 +34,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, j
         out: folder of the bundle; made if needed. The .zip lies beside it.
         json: print the manifest.
     """
-    content, policies = trained_policies(run, target)
+    content, policies, _ = trained_policies(run, target)
     from toolkit.packing import write_bundle
 
     robot, task = find_robot(target), find_task(content["task"])
@@ -42,7 +43,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, j
         manifest = write_bundle(policies[target], robot, task, content, _lineage(run, target), label, out,
                                 lambda what: progress.show(f"export {target}", what, now=True))  # fmt: skip
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
-                                   f"meta-evolve verify {out}")  # fmt: skip
+                                   + told("verify", out))  # fmt: skip
 
 
 def deploy(
@@ -110,13 +111,19 @@ def _deploy(
     outcomes, behind, successes = [], 0.0, 0
     with Progress("deploy", quiet) as progress:
         shown = progress.count(f"{manifest.robot.name} twin", episodes)
-        for episode in range(episodes):
-            arm.begin(EVALUATION_SEEDS + seed * 10**6 + episode)
-            outcomes.append(play(runtime, arm, record, pace, episode))
-            result = arm.result()
-            successes, behind = successes + bool(result["success"]), max(behind, float(result["behind_s"]))
-            shown(episode + 1, successes)
-    record.close()
+        try:
+            for episode in range(episodes):
+                arm.begin(EVALUATION_SEEDS + seed * 10**6 + episode)
+                outcome = play(runtime, arm, record, pace, episode)
+                succeeded, late = arm.result()
+                outcomes.append(outcome)
+                successes, behind = successes + succeeded, max(behind, late)
+                shown(episode + 1, successes)
+        except ToolkitError as error:  # the arm's side has gone: say what is known, and that it is not all
+            raise ToolkitError(f"episode {len(outcomes) + 1} of {episodes} was not finished, {successes} of the {len(outcomes)} before it "
+                               f"succeeded: {error}") from None  # fmt: skip
+        finally:
+            record.close()
     ticks = np.concatenate([outcome.tick_ms for outcome in outcomes] or [[]])
     faults: Counter = sum((outcome.faults for outcome in outcomes), Counter())
     low, high = wilson_interval(successes, episodes)
@@ -127,7 +134,7 @@ def _deploy(
         "faults": dict(faults), "stopped": [outcome.stopped for outcome in outcomes if outcome.stopped],
         "late_ticks": sum(outcome.late for outcome in outcomes), "unknown_ticks": sum(outcome.warnings for outcome in outcomes),
         "tick_ms": dict(zip(("p50", "p99", "max"), np.percentile(ticks, [50, 99, 100]).tolist(), strict=True)) if len(ticks) else None,
-        "twin_behind_s": behind, "log": str(log) if log else None,
+        "twin_behind_s": behind, "log": str(log) if log else None, "log_trouble": record.trouble or None,
     }  # fmt: skip
 
 
@@ -141,8 +148,10 @@ def _deployed(content: dict[str, Any]) -> str:
         lines.append("tick {p50:.2f} ms (99 %: {p99:.2f}, longest {max:.2f})".format(**content["tick_ms"])
                      + f"; {content['late_ticks']} of {content['ticks']} ticks late, {content['held_ticks']} held")  # fmt: skip
     lines += [f"stopped: {reason}" for reason in content["stopped"]]
-    if content["log"]:
-        lines.append(f"log: {content['log']}; look at it with: meta-evolve view {content['log']}")
+    if content["log_trouble"]:
+        lines.append(f"log: {content['log_trouble']}")
+    elif content["log"]:
+        lines.append(f"log: {content['log']}; look at it with: {told('view', content['log'])}")
     return "\n".join(lines)
 
 
@@ -150,20 +159,21 @@ def _start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
     """A twin in a process of its own, and the port on which it listens."""
     import subprocess
 
-    command = [sys.executable, "-m", "toolkit.cli", "twin", bundle, "--pace", pace]
+    command = [sys.executable, "-m", "toolkit.cli", "twin", "--pace", pace, "--", bundle]
     twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    line = twin.stdout.readline()
-    if not line.startswith("twin of "):
-        twin.wait()
-        raise ToolkitError("the twin did not start (see above); it needs robosuite: install all of meta-evolve, or give --connect")
-    return twin, int(line.rsplit(":", 1)[1])
+    for line in twin.stdout:  # whatever else is printed on the way is not ours
+        if line.startswith("twin of "):
+            return twin, int(line.rsplit(":", 1)[1])
+    status = twin.wait()
+    raise ToolkitError(f"the twin did not start (exit status {status}, see above); it needs robosuite: install all of meta-evolve, or "
+                       "give --connect")  # fmt: skip
 
 
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit():
-        raise ToolkitError(f"--connect {text} is no HOST:PORT, such as 127.0.0.1:5005")
-    return host, int(port)
+    if not host or not port.isascii() or not port.isdigit() or not 0 < int(port[:6]) < 2**16:
+        raise ToolkitError(f"--connect {text} is no HOST:PORT, such as 127.0.0.1:5005; ports go from 1 to 65535")
+    return host.removeprefix("[").removesuffix("]"), int(port)
 
 
 def twin(
@@ -181,32 +191,38 @@ def twin(
 
     from toolkit.bundle import load_bundle
 
+    if not 0 <= port < 2**16:
+        raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
     manifest = load_bundle(bundle).manifest
     robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
     from toolkit.twin import Twin, serve
 
-    served = Twin(robot, task, pace)
     try:
-        listener = socket.create_server((host, port))
-    except OSError as error:
-        raise ToolkitError(f"port {port} of {host} cannot be listened on ({error.strerror}); choose another --port") from None
+        listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ToolkitError(f"port {port} of {host} cannot be listened on ({why}); choose another --port or --host") from None
     with listener:
+        served = Twin(robot, task, pace)
+        listener.listen()  # whoever comes earlier is not kept waiting, but tries again
         print(f"twin of {robot.name} at {host}:{listener.getsockname()[1]}", flush=True)
         serve(served, listener)
 
 
 def _lineage(run: Path, target: str) -> "Lineage":
     from toolkit.manifest import Lineage
+    from toolkit.runs import read_nodes, read_success
 
-    tree = _json(run / "tree.json", "it is written when a transfer begins")
-    report = _json(run / "report.json", "finish it with --resume") if (run / "report.json").is_file() else {}
+    tree, report = read_nodes(run), read_success(run)
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
     if alpha is None:
         raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
     route = next((names for names in report.get("routes", {}).values() if names and names[-1] == target), [target])
     totals = report.get("totals", {})
     return Lineage(
-        source=next(node["name"] for node in tree["nodes"] if node["kind"] == "source"), route=tuple(route),
+        source=next((node["name"] for node in tree["nodes"] if node["kind"] == "source"), "unknown"), route=tuple(route),
         alpha=tuple(map(float, alpha)), kind=tree["kind"], metric=tree["metric"],
         train_iterations=int(totals.get("train_iterations", 0)), sim_epochs=int(totals.get("sim_epochs", 0)),
     )  # fmt: skip
@@ -215,8 +231,9 @@ def _lineage(run: Path, target: str) -> "Lineage":
 def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
     """Success as the run's report has it, or measured now."""
     from toolkit.manifest import Success
+    from toolkit.runs import read_success
 
-    report = _json(run / "report.json", "") if (run / "report.json").is_file() else {}
+    report = read_success(run)
     found = report.get("targets", {}).get(target, {}).get("native")
     measured = "by the run that trained it, through robosuite's own step"
     if found is None:
@@ -228,11 +245,3 @@ def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress:
     return Success(found["episodes"], found["successes"], float(found["success_rate"]), tuple(map(float, found["ci95"])), found["seed"],
                    measured)  # fmt: skip
 
-
-def _json(path: Path, mend: str) -> dict[str, Any]:
-    import json as json_module
-
-    try:
-        return json_module.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ToolkitError(f"{path} cannot be read ({error}); {mend}") from None

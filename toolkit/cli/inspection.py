@@ -9,6 +9,7 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     import subprocess
@@ -101,8 +102,8 @@ def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: 
     """A recording of policies side by side, and its layout."""
     from toolkit.recording import shows
 
-    file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
     sides = _sides(paths, targets)
+    file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
     films = shows.compare(sides, file, seed)
     labels = [label for label, _, _ in sides]
     print("; ".join(f"{label}: {film.verdict()}" for label, film in zip(labels, films, strict=True)))
@@ -186,11 +187,15 @@ def _follow_running(known: "Known") -> None:
 
 
 def _wait(process: "subprocess.Popen", text: str) -> None:
+    """Until the viewer is ended, by Ctrl-C or by its window; it is a failure if it ended otherwise."""
     print(text, flush=True)
     try:
-        process.wait()
+        status = process.wait()
     except KeyboardInterrupt:
         process.terminate()
+        return
+    if status:
+        raise ToolkitError(f"the viewer ended by itself with status {status}; see `meta-evolve doctor`")
 
 
 def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str, "Known", str]]:
@@ -198,6 +203,10 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
     if len(targets) not in (1, 2) or len(paths) * len(targets) < 2:
         raise ToolkitError("compare two targets of a run (RUN --compare A B), or one target of two (RUN RUN --compare A)")
     pairs = [(paths[0], targets[0]), (paths[-1], targets[-1])]
+    for path, name in pairs:
+        known = transfer_config(path)["targets"]
+        if name not in known:
+            raise ToolkitError(f"target {name!r} is not in {path}; it has: {', '.join(known)}")
     every = [name for path in paths for name in transfer_config(path)["targets"]]
     merged = tuple(dict.fromkeys(every))
     known = {path: known_run(path, merged) for path in paths}
@@ -244,7 +253,7 @@ def morph(
     shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
         viewer.still([out], still, at, size)
-    print(f"{out}; look at it with: meta-evolve view {out}")
+    print(f"{out}; look at it with: {told('view', out)}")
 
 
 def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, json: bool = False) -> None:

@@ -24,6 +24,8 @@ def evaluate(
 ) -> None:
     """Measure success on F(beta), or with --native on the unmodified robosuite robot, on seeds that training never saw.
 
+    Exit status 2 if a target has no policy, or none that can be read; the others are evaluated all the same.
+
     Args:
         run: the run folder of a transfer or an expert, the name of a shipped expert, or an exported bundle.
         target: which target of the run; default: all of them. An expert's is its source.
@@ -44,7 +46,7 @@ def evaluate(
         result = bundle_success(run, episodes, seed, quiet=json)
         emit(result.to_json(), json, sentence(result))
         return
-    content, policies = expert_policy(run, target) or trained_policies(Path(run), target)
+    content, policies, trouble = expert_policy(run, target) or trained_policies(Path(run), target)
     what = find_task(task or content["task"])
     lab = None if native else make_lab(content["source"], content["targets"], what.name)
     results = []
@@ -59,6 +61,8 @@ def evaluate(
         emit(results[0].to_json() if len(results) == 1 else [r.to_json() for r in results], True, "")
     for result in [] if json else results:
         print(sentence(result))
+    if trouble:
+        raise ToolkitError("; ".join(trouble))
 
 
 def is_bundle(name: str) -> bool:

@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import require
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from robots.robot import Robot
@@ -20,19 +22,31 @@ TASK = "061_foam_brick"
 
 
 def all_robots() -> dict[str, "Robot"]:
-    """Every system by name, or a sentence on the card that does not load."""
+    """Every system whose card loads, by name.
+
+    Raises:
+        ToolkitError: robosuite, or a package that all cards need, does not load.
+    """
     try:
         from robots import ROBOTS
-    except (ValueError, TypeError, ImportError, NameError, SyntaxError) as error:  # a card is written by hand
-        raise ToolkitError(f"a card in robots/ or grippers/ does not load: {' '.join(str(error).split())}") from error
+    except ImportError as error:
+        raise ToolkitError(f"the robots do not load ({' '.join(str(error).split())}); see: meta-evolve doctor") from error
     return ROBOTS
+
+
+def broken_cards() -> list[str]:
+    """A sentence for each card that does not load, those before which others cannot first."""
+    from grippers.cards import BROKEN
+
+    return [f"a card in robots/ or grippers/ does not load: {why} ({module}); mend or remove it" for module, why in BROKEN.items()]
 
 
 def find_robot(name: str) -> "Robot":
     """The card of a system, or a sentence listing those that exist."""
     known = all_robots()
     if name not in known:
-        raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(known)}")
+        more = "".join(f"; {broken}" for broken in broken_cards())
+        raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(known)}{more}")
     return known[name]
 
 
@@ -61,28 +75,44 @@ def transfer_config(folder: Path) -> dict:
     missing = [key for key in ("source", "targets", "task") if key not in content]
     if missing:
         raise ToolkitError(f"{folder / 'config.json'} has no {missing[0]!r}, so it is no transfer's run folder")
+    require(content, {"source": str, "targets": [str], "task": str}, str(folder / "config.json"), "start the run again under another --run")
+    odd = [name for name in (content["source"], *content["targets"]) if not name.isidentifier()]
+    if odd or not content["targets"]:
+        raise ToolkitError(f"{folder / 'config.json'} names robots {odd or 'none'}, which are no names of robots, so it is damaged")
     return content
 
 
-def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]]:
-    """Config of a run folder or bundle, and its policies by target."""
+def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"], list[str]]:
+    """Config of a run folder, its policies by target, and a sentence for each that cannot be had.
+
+    Raises:
+        ToolkitError: there is none.
+    """
     from tasks.pick import ACTION, OBSERVATION
     from toolkit.expert import POLICY_FILE, entry_names
     from toolkit.learning.policy import GaussianPolicy
 
     content = transfer_config(folder)
     found = {}
+    trouble = []
     for name in content["targets"] if target is None else [target]:
         if name not in content["targets"]:
             raise ToolkitError(f"target {name!r} is not in {folder}; it has: {', '.join(content['targets'])}")
         file = folder / f"{name}{POLICY_FILE}"
-        if not file.is_file():
-            raise ToolkitError(f"{folder} has no policy for {name!r} yet; finish it with: meta-evolve transfer --run {folder} --resume")
-        found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
-    return content, found
+        try:
+            if not file.is_file():
+                raise ToolkitError(
+                    f"{folder} has no policy for {name!r} yet; finish it with: {told('transfer', '--run', folder, '--resume')}"
+                )
+            found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+        except ToolkitError as error:
+            trouble.append(str(error))
+    if not found:
+        raise ToolkitError(trouble[0])
+    return content, found, trouble
 
 
-def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"]] | None:
+def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"], list[str]] | None:
     """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
     from tasks.pick import ACTION, OBSERVATION
     from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
@@ -96,6 +126,7 @@ def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "Gaussi
         content = Run.open(Path(run)).config
         if "demos" not in content:
             return None
+        require(content, {"source": str, "task": str}, str(Path(run) / "config.json"), "start the run again under another --run")
         source, task = content["source"], content["task"]
         file = Path(run) / f"{source}{POLICY_FILE}"
         if not file.is_file():
@@ -103,4 +134,4 @@ def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "Gaussi
     if target not in (None, source):
         raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
     policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
-    return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}
+    return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}, []

@@ -9,6 +9,7 @@ import tyro
 from toolkit.cli.names import find_robot
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.recordings import Demonstration, Studio
@@ -53,7 +54,7 @@ def make(
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     content = {"root": str(out), "recordings": names, "bytes": size, "synthetic": True}
     emit(content, json, f"{len(names)} synthetic recordings, {size / 1e6:.1f} MB, in {out}; look at them with: "
-                        f"meta-evolve recordings list {out}")  # fmt: skip
+                        + told("recordings", "list", out))  # fmt: skip
 
 
 @recordings.command(name="list")
@@ -108,7 +109,8 @@ def retarget_recordings(
 ) -> None:
     """Retarget recordings to the source's hand, replay them in simulation, and say how well each is followed.
 
-    Errors are distances of the robot's fingertips from the recorded ones, on average over five fingers.
+    Errors are distances of the robot's fingertips from the recorded ones, on average over five fingers. Exit status 2 if one of the
+    recordings asked for is broken; the others are retargeted all the same.
 
     Args:
         root: the folder that holds the subjects and `calibration`.
@@ -120,40 +122,45 @@ def retarget_recordings(
         json: print one JSON object.
     """
     robot = find_robot(source)
-    from toolkit.recordings import Dropped, Studio
+    from toolkit.recordings import Broken, Dropped, Studio
 
     studio = Studio(root, robot, frame_rate)
     unknown = [name for name in only if name not in studio.names]
     if unknown:
         raise ToolkitError(f"recording {unknown[0]!r} is not in {root}; it has: {', '.join(studio.names[:5])}, ...")
-    read = [studio.read(name) for name in (only or studio.names)]
-    chosen = [recording for recording in read if object in (None, recording.object)]
+    chosen, broken, objects = studio.about(object, only)
     if not chosen:
-        raise ToolkitError(f"{root} has no recording of {object}; it has: {', '.join(sorted({r.object for r in read}))}")
-    results: list[Demonstration | Dropped] = []
+        more = f"; {broken[0].why}" if broken else ""
+        raise ToolkitError(f"{root} has no recording of {object or 'anything'}; it has: {', '.join(objects) or 'none'}{more}")
+    results: list[Demonstration | Dropped | Broken] = []
     with Progress("retargeting", quiet=json) as progress:
-        for recording in chosen:
-            results.append(studio.demonstration(recording))
+        for name in chosen:
+            results.append(studio.demonstration_of(name))
             good = sum(getattr(result, "succeeded", False) for result in results)
             progress.show("retargeting", f"{good} of {len(results)} replays succeed", len(results), len(chosen))
-    shown = [result for result in results if not isinstance(result, Dropped)]
+    shown = [result for result in results if not isinstance(result, Dropped | Broken)]
     dropped = [result for result in results if isinstance(result, Dropped)]
-    if record is not None:
-        _film(studio, shown, record)
+    mine = [result for result in results if isinstance(result, Broken)]
     content = {
         "root": str(root), "source": source, "recordings": [d.to_json() for d in shown],
         "dropped": [{"recording": d.recording, "why": d.why} for d in dropped],
+        "broken": [{"recording": b.recording, "error": b.why} for b in (*mine, *broken)],
         "replays_succeeded": sum(d.succeeded for d in shown), "replays": len(shown),
     }  # fmt: skip
     if json:
         emit(content, True, "")
-        return
-    columns = ["recording", "object", "tip error mm", "worst frame", "commanded", "infeasible frames", "replay"]
-    table("Retargeted", columns, [_row(d) for d in shown])
-    for d in dropped:
-        emit(None, False, f"left out: {d.why}")
-    emit(None, False, f"{content['replays_succeeded']} of {len(shown)} replays reach the recorded goal; "
-                      f"{len(shown) - content['replays_succeeded']} fail in physics, {len(dropped)} cannot be followed.")  # fmt: skip
+    else:
+        columns = ["recording", "object", "tip error mm", "worst frame", "commanded", "infeasible frames", "replay"]
+        table("Retargeted", columns, [_row(d) for d in shown])
+        for d in (*dropped, *mine, *broken):
+            emit(None, False, f"left out: {d.why}")
+        emit(None, False, f"{content['replays_succeeded']} of {len(shown)} replays reach the recorded goal; "
+                          f"{len(shown) - content['replays_succeeded']} fail in physics, {len(dropped)} cannot be followed.")  # fmt: skip
+    if record is not None and shown:
+        _film(studio, shown, record)
+    if mine:
+        more = f" ({len(mine)} of {len(results)} are broken)" if len(mine) > 1 else ""
+        raise ToolkitError(mine[0].why + more)
 
 
 def _row(demonstration: "Demonstration") -> list[str]:

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TASK, all_robots, find_robot, find_task, make_lab
+from toolkit.cli.names import TASK, all_robots, broken_cards, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, short, table
 from toolkit.errors import ToolkitError
 
@@ -33,10 +33,19 @@ def robots(check: str | None = None, json: bool = False) -> None:
         for r in known.values()
     ]  # fmt: skip
     if json:
-        emit({"robots": rows, "tasks": list(TASKS)}, True, "")
+        emit({"robots": rows, "tasks": list(TASKS), "broken": broken_cards()}, True, "")
     else:
         table("Systems", list(rows[0]), [list(row.values()) for row in rows])
         print(f"Tasks: {', '.join(TASKS)}")
+    _say_broken()
+
+
+def _say_broken() -> None:
+    """Refuse, once everything else is said, if a card does not load."""
+    broken = broken_cards()
+    if broken:
+        more = f" (and {len(broken) - 1} more: {'; '.join(broken[1:])})" if len(broken) > 1 else ""
+        raise ToolkitError(broken[0] + more)
 
 
 def _check(robot: "Robot", json: bool) -> None:
@@ -73,6 +82,7 @@ def match(
     """
     if episodes < 0:
         raise ToolkitError(f"episodes is {episodes}; give 0 to play none")
+    every = not targets
     targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
     with Progress("match", quiet=json) as progress:
         lab = make_lab(source, targets, TASK)
@@ -99,6 +109,8 @@ def match(
         emit(content, True, "")
     else:
         _show_match(lab.space.matching, content)
+    if every:
+        _say_broken()
 
 
 def _show_match(matching: "Matching", found: dict) -> None:

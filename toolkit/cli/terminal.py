@@ -1,26 +1,92 @@
 """What a command prints: JSON or text, tables, progress."""
 
 import json
+import os
 import sys
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+from toolkit.quoting import plain
+
+
+class Outlet:
+    """Standard output or error, whose loss ends no command: what is printed once it is lost is dropped.
+
+    A reader that has gone (`| head`) wants no more; a full disk is told by the exit status. Neither undoes what the command does.
+
+    Args:
+        stream: the text stream.
+
+    Attributes:
+        lost: why nothing can be written any more; None while it can.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.lost: OSError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """As of a text stream, but for errors."""
+        if self.lost is None:
+            try:
+                self._stream.write(text)
+            except OSError as error:
+                self._lose(error)
+        return len(text)
+
+    def flush(self) -> None:
+        """As of a text stream, but for errors."""
+        if self.lost is None:
+            try:
+                self._stream.flush()
+            except OSError as error:
+                self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        self.lost = error
+        try:  # what is still buffered would be tried again, and complained of, when the interpreter ends
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+        except (OSError, ValueError):
+            pass  # a stream without a file of its own, as in a test
+
+
+@contextmanager
+def outlets() -> Iterator[tuple[Outlet, Outlet]]:
+    """Standard output and error as outlets, for the time of a command."""
+    before = sys.stdout, sys.stderr
+    out, err = (Outlet(stream if stream is not None else open(os.devnull, "w")) for stream in before)
+    sys.stdout, sys.stderr = out, err
+    try:
+        yield out, err
+    finally:
+        out.flush()
+        err.flush()
+        sys.stdout, sys.stderr = before
 
 
 def emit(content: Any, as_json: bool, text: str) -> None:
     """Print one JSON value, or the text for people."""
-    print(json.dumps(content) if as_json else text)
+    print(json.dumps(content) if as_json else "\n".join(map(plain, text.split("\n"))))
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Print a table."""
+    """Print a table; its texts are data, never the terminal library's markup."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title, title_justify="left")
+    said = lambda value: Text(plain(str(value)))  # noqa: E731
+    table = Table(title=said(title), title_justify="left")
     for column in columns:
-        table.add_column(column, overflow="fold")  # a name that is cut off names nothing
+        table.add_column(said(column), overflow="fold")  # a name that is cut off names nothing
     for row in rows:
-        table.add_row(*(str(value) for value in row))
+        table.add_row(*map(said, row))
     console = Console()
     if not console.is_terminal:
         console.width = 1000  # a row stays one line in a file or a pipe
@@ -43,8 +109,8 @@ class Progress:
         self.live = self.console.is_terminal and not quiet
         self.quiet = quiet
         self._last = 0.0
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[detail]}"), TimeElapsedColumn(),
-                   TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[detail]}", markup=False),
+                   TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())  # fmt: skip
         self.bar = Progress(*columns, console=self.console, disable=not self.live)
         self._task = self.bar.add_task(title, total=None, detail="")
 
@@ -59,6 +125,7 @@ class Progress:
         """Update the line; without a terminal print at most every ten seconds, or ``now``."""
         import time
 
+        title, detail = plain(title), plain(detail)
         self.bar.update(self._task, description=title, detail=detail, completed=done or 0, total=total)
         if not self.live and not self.quiet and (now or time.monotonic() - self._last > 10.0):
             self._last = time.monotonic()
@@ -96,7 +163,7 @@ class Progress:
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "recorded":
                 if not self.quiet:
-                    self.console.print(str(record["cost"]), highlight=False)
+                    self.console.print(str(record["cost"]), highlight=False, markup=False)
                 return
             if record["event"] == "preparing":
                 self.show("preparing", f"measuring and merging {', '.join(record['robots'])}", now=True)

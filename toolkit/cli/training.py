@@ -6,6 +6,7 @@ from typing import Literal
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 
 
 def expert(
@@ -75,8 +76,9 @@ def expert(
             else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
             for key, t in results.items()
         }  # fmt: skip
-    words = [f"--demos {demos}"] * (demos is not None) + [f"--updates {updates} --demonstrations {demonstrations} --seed {seed}"]
-    command = " ".join([f"meta-evolve expert --source {source} --task {task}", *words])
+    shown = [] if demos is None else ["--demos", demos]
+    command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--demonstrations", demonstrations,
+                   "--seed", seed)  # fmt: skip
     card |= {"command": command} | {key: result.to_json() for key, result in results.items()}
     save_expert(policy, value, out or SHIPPED, f"{source}-{task}{'' if demos is None else RECORDED}", card)
     kept.write_json("report", card)
@@ -152,4 +154,4 @@ def transfer(
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config))
         report = pipeline.play()
-    emit(report, json, summary(report, pipeline.tree) + f"\nRun folder: {folder}; look at it with: meta-evolve view {folder}")
+    emit(report, json, summary(report, pipeline.tree) + f"\nRun folder: {folder}; look at it with: {told('view', folder)}")

@@ -18,7 +18,7 @@ class State:
 
     Attributes:
         stamp: when it was measured [s], on the clock that the runtime is given (time.monotonic by default).
-        joints: (n,) [rad], in the order of the driver's ArmInfo.
+        joints: (n,) [rad], in the order of the driver's ArmInfo; of a joint without limits in whatever turn the arm counts.
         fingers: (m,) [rad] likewise; None: only ``opening`` is known, and the manifest's table tells the angles.
         opening: 0 closed to 1 open; None if the gripper does not report it.
         object_position: (3,) [m], object_quaternion: (4,), goal: (3,) [m], all in the task frame.
@@ -46,7 +46,9 @@ class Command:
 
     Attributes:
         form: what ``target`` is. osc: robosuite's OSC_POSE delta action (6,), 1 = the manifest's scale, in the controller's
-            base frame. pose: the grasp frame in the arm's base frame, position [m] and quaternion (7,). joint: angles (n,) [rad].
+            base frame. pose: the grasp frame in the arm's base frame, position [m] and quaternion (7,). joint: angles (n,) [rad],
+            in the order of the driver's ArmInfo; of a joint without limits in the turn that the arm reported when the episode began,
+            without jumps even where its readings wrap: it goes there the shorter way.
         hold: stand still; the target is then where to stand (osc: no delta) and the rate is zero.
         target: at the end of this tick.
         rate: there, d(target)/dt: pose: linear and angular velocity (6,) [m/s, rad/s] in the base frame; joint: (n,) [rad/s];

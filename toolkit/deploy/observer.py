@@ -1,15 +1,23 @@
 """From an arm's state to the policy's observation, entry by entry, by name."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from toolkit.deploy.arm import ArmInfo, State
+from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.kinematics import Kinematics, matrix_of
 from toolkit.errors import ToolkitError
 from toolkit.manifest import Manifest
 
+TURN = 2 * np.pi
+
 
 class Observer:
     """Assembles the observation that the policy was trained on.
+
+    It is also where angles that repeat themselves are made one: a joint without limits is read as the angle nearest to where it
+    was last seen, at first to its start, whatever whole turns the arm counts, and when a reading wraps. Everything behind it sees
+    angles without jumps; ``reported`` gives commands back in the turns of the episode's first reading, without jumps too.
 
     Args:
         manifest: of the bundle.
@@ -47,14 +55,36 @@ class Observer:
         self.size = position
         self._finger_at, self._finger_joint = np.array(finger_at, int), np.array(finger_joint, int)
         self._finger_sign, self._finger_start = np.array(finger_sign), np.array(finger_start)
+        self._endless = np.array([joint.low is None for joint in manifest.joints])
+        self._first = np.array(manifest.start.arm_rad)
+        self.begin()
         self._start = np.array(manifest.start.grasp_position_m)
         gripper = manifest.gripper
         self._table = np.array(gripper.opening_m) / gripper.opening_m[0]
         self._angles = np.array(gripper.joint_positions)
 
+    def begin(self) -> None:
+        """Forget where endless joints were seen: an episode starts at the manifest's start."""
+        self._near = self._first.copy()
+        self._turns: np.ndarray | None = None  # by which the first reading differs
+
     def arm(self, state: State) -> np.ndarray:
-        """Arm angles (n,) [rad] in the manifest's order."""
-        return np.asarray(state.joints, float)[self._order]
+        """Arm angles (n,) [rad] in the manifest's order, those of endless joints nearest to where they were last observed."""
+        return self.in_order(state.joints) - TURN * self._turns_of(state)
+
+    def _turns_of(self, state: State) -> np.ndarray:
+        """(n,) whole turns by which a reading differs from the angles; none for joints with limits, or where nothing is read."""
+        gap = np.where(self._endless, self.in_order(state.joints) - self._near, 0.0)
+        return np.round(np.where(np.isfinite(gap), gap, 0.0) / TURN)
+
+    def reported(self, command: Command) -> Command:
+        """A joint command in the turns that the arm counted when the episode began, and in its own order of joints; another form as
+        it is."""
+        if command.form != "joint":
+            return command
+        place, turns = np.argsort(self._order), 0.0 if self._turns is None else TURN * self._turns
+        own = lambda rows: (rows + turns)[..., place]  # noqa: E731
+        return replace(command, target=own(command.target), waypoints=own(command.waypoints), rate=command.rate[place])
 
     def in_order(self, values: np.ndarray) -> np.ndarray:
         """Any per-joint values (n,) of a state, in the manifest's order."""
@@ -78,10 +108,12 @@ class Observer:
         """The observation (n_obs,), in the manifest's order; NaN wherever the state is not finite.
 
         Args:
-            state: of the arm; leaves ``kinematics`` placed there.
+            state: of the arm; leaves ``kinematics`` placed there, and its endless joints remembered.
             command: the closing command integrated so far.
         """
         arm, fingers = self.arm(state), self.fingers(state)
+        if np.isfinite(arm).all():
+            self._turns, self._near = self._turns_of(state) if self._turns is None else self._turns, arm
         self.kinematics.place(arm, fingers)
         grasp, rotation = self.kinematics.position, self.kinematics.rotation
         item, goal = np.asarray(state.object_position, float), np.asarray(state.goal, float)

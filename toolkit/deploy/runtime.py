@@ -96,6 +96,7 @@ class Runtime:
     def begin(self, state: State, now: float) -> Fault | None:
         """Start an episode at a state; a fault means that the arm must not be moved."""
         self.guard.begin()
+        self.observer.begin()
         self._reached = self._held = 0
         self._fault = self.guard.start(state, now)
         if self._fault is None:
@@ -132,6 +133,7 @@ class Runtime:
             self._count_goal(observation)
         clock.append(time.perf_counter())
         times = dict(zip(STAGES[1:4], np.diff(clock).tolist(), strict=True))
+        command = self.observer.reported(command)
         return Tick(command, self._fault, self._held > self.manifest.watch.hold_ticks, warning, action, times)
 
     def _count_goal(self, observation: np.ndarray) -> None:
@@ -262,17 +264,23 @@ LOG_FORMAT = "meta-evolve deployment log"
 class TickLog:
     """One JSON line per tick, after a first line that says what is logged; constant memory.
 
+    An arm does not stop for its log: a line that cannot be written ends the log, not the episode.
+
     Args:
         path: file, begun anew; None: nothing is written.
         about: for the first line.
 
+    Attributes:
+        trouble: why the log ends early, in a sentence; empty if it does not.
+
     Raises:
-        ToolkitError: the file cannot be written.
+        ToolkitError: the file cannot be begun.
     """
 
     def __init__(self, path: Path | None, about: dict[str, Any]) -> None:
         self.path = path
         self._file: TextIO | None = None
+        self.trouble, self._lines = "", 0
         if path is None:
             return
         try:
@@ -289,7 +297,7 @@ class TickLog:
         row: dict[str, Any] = {"episode": episode, "tick": number, "t": time.monotonic(), "late": late, "hold": tick.command.hold}
         row |= {f"{stage}_ms": round(1e3 * tick.times[stage], 4) for stage in STAGES}
         if isinstance(state, State):
-            row |= {"age_ms": round(1e3 * (row["t"] - state.stamp), 3), "joints": _listed(state.joints),
+            row |= {"age_ms": _listed([1e3 * (row["t"] - state.stamp)])[0], "joints": _listed(state.joints),
                     "object": _listed(state.object_position)}  # fmt: skip
         row |= {"action": _listed(tick.action), "target": _listed(tick.command.target), "opening": round(tick.command.opening, 5)}
         if isinstance(sent, Command) and sent is not tick.command:
@@ -308,16 +316,32 @@ class TickLog:
     def close(self) -> None:
         """Finish the file."""
         if self._file is not None:
-            self._file.close()
-            self._file = None
+            file, self._file = self._file, None
+            try:
+                file.close()
+            except OSError as error:
+                self._end(error)
 
     def _write(self, row: dict[str, Any]) -> None:
-        self._file.write(json.dumps(row) + "\n")
+        try:
+            self._file.write(json.dumps(row) + "\n")
+            self._lines += 1
+        except OSError as error:
+            self._end(error)
+            self.close()
+
+    def _end(self, error: OSError) -> None:
+        why = error.strerror or str(error)
+        self.trouble = self.trouble or f"{self.path} is cut off after {self._lines} lines at most ({why}); the arm was not stopped for it"
 
 
 def _listed(values: np.ndarray) -> list[float | None]:
-    """Rounded numbers; null where one is not finite, as JSON has no NaN."""
-    return [round(v, 6) if np.isfinite(v) else None for v in np.asarray(values, float).tolist()]
+    """Rounded numbers; null where one is not finite, as JSON has no NaN, and for what is no number at all."""
+    try:
+        numbers = np.ravel(np.asarray(values, float)).tolist()
+    except (TypeError, ValueError):
+        return [None]
+    return [round(v, 6) if np.isfinite(v) else None for v in numbers]
 
 
 # ---- a self-test without an arm --------------------------------------------------------------------------------------

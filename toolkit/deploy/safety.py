@@ -21,6 +21,20 @@ SPEED_MARGIN = 1.5
 """Measured joint speed, in units of the limit, from which the arm is held: measured speeds overshoot commanded ones."""
 LIMIT_MARGIN = 0.02
 """[rad] by which a measured angle may pass its limit."""
+FARTHEST = 1000 * 2 * np.pi
+"""[rad] of a reading of an endless joint; beyond, whole turns could no longer be told from nonsense."""
+UNIT = 0.01
+"""By which the length of the object's quaternion may differ from 1."""
+WIDER = 0.05
+"""By which a reported opening may leave 0 to 1: gripper encoders are no better."""
+START_OPENING, START_FINGER, START_JAW = 0.15, 0.2, 0.01
+"""Opening, hinge [rad] and slide [m] by which the gripper may differ from the start."""
+START_PLACE, START_HEIGHT, START_GOAL = 0.03, 0.03, 0.05
+"""[m] beyond the task's noise by which the object may lie away from its place, above or below it, and the goal from its own."""
+START_TURN = 0.2
+"""[rad] beyond the task's noise by which the object may be turned or tilted."""
+START_SPEED = 0.1
+"""[rad/s] from which on an arm does not stand still."""
 LIFTED = 0.02
 """Rise [m] of the object from where it rested that counts as lifted."""
 OVERSHOOT = 0.02
@@ -43,6 +57,11 @@ class Fault:
     def passing(self) -> bool:
         """Whether the arm may go on once this is over."""
         return self.kind in PASSING
+
+
+def _turn(quaternion: np.ndarray) -> float:
+    """Angle [rad] of the rotation of a unit quaternion (4,), w first."""
+    return 2.0 * float(np.arctan2(np.linalg.norm(quaternion[1:]), abs(quaternion[0])))
 
 
 class Guard:
@@ -87,17 +106,64 @@ class Guard:
             return fault
         start, arm = self.manifest.start, self.observer.arm(state)
         self._rest = float(state.object_position[2])
-        away = np.abs(_turns(arm - np.array(start.arm_rad), self._low))
+        away = np.abs(arm - np.array(start.arm_rad))
         if away.max() > start.tolerance_rad:
             worst = int(away.argmax())
             return Fault("start_pose", f"joint {self.manifest.joints[worst].name} stands {away[worst]:.3f} rad from the start posture, "
                                        f"more than {start.tolerance_rad}; move the arm to the manifest's start.arm_rad")  # fmt: skip
+        if state.speeds is not None and np.abs(state.speeds).max() > START_SPEED:
+            speed = float(np.abs(state.speeds).max())
+            return Fault("start_pose", f"the arm moves at {speed:.3f} rad/s, more than {START_SPEED}; let it come to rest")
+        fault = self._start_gripper(state) or self._start_object(state)
+        if fault:
+            return fault
         self.observer(state, self.manifest.gripper.preshape)
         kinematics = self.observer.kinematics
         shift = float(np.linalg.norm(kinematics.position - np.array(start.grasp_position_m)))
         turn = float(np.linalg.norm(vector_of(kinematics.rotation @ kinematics.start_rotation.T)))
         if shift > start.tolerance_m or turn > start.tolerance_rotation_rad:
             return Fault("start_pose", f"the grasp frame stands {shift:.3f} m and {turn:.3f} rad from its start")
+        return None
+
+    def _start_gripper(self, state: State) -> Fault | None:
+        """Whether the gripper stands at its preshape, by fingers or by opening: what is measured in other units does not."""
+        gripper, start = self.manifest.gripper, self.manifest.start
+        if state.fingers is not None:
+            found = self.observer.fingers(state)
+            for name, unit, angle in zip(gripper.joints, gripper.joint_units, found, strict=True):
+                limit = START_FINGER if unit == "rad" else START_JAW
+                if not abs(angle - start.fingers[name]) <= limit:
+                    return Fault("start_pose", f"finger joint {name} stands at {angle:.3f} {unit}, not within {limit} of "
+                                               f"{start.fingers[name]:.3f}; open the gripper to the manifest's start.fingers")  # fmt: skip
+        elif state.opening is not None:
+            wanted = float(np.interp(gripper.preshape, gripper.command, gripper.opening_m)) / gripper.opening_m[0]
+            if not abs(state.opening - wanted) <= START_OPENING:
+                return Fault("start_pose", f"the gripper's opening is {state.opening:.3f}, not within {START_OPENING} of {wanted:.3f} "
+                                           "(0 closed, 1 open; not metres, nor the other way round); open it to the preshape")  # fmt: skip
+        return None
+
+    def _start_object(self, state: State) -> Fault | None:
+        """Whether object and goal are where an episode starts: in another frame, unit or order of numbers they are not."""
+        task = self.manifest.task
+        place, goal = np.asarray(state.object_position, float), np.asarray(state.goal, float)
+        away = np.abs(place[:2] - np.array(task.object_xy_m))
+        if away.max() > task.noise_xy_m + START_PLACE:
+            return Fault("start_pose", f"the object lies at ({place[0]:.3f}, {place[1]:.3f}) m, {away.max():.3f} from its place "
+                                       f"{task.object_xy_m} in the task frame, more than {task.noise_xy_m + START_PLACE:.3f}")  # fmt: skip
+        half = task.object.get("half_size_m", [0.0])[-1]
+        height = task.table_top_m + (half if isinstance(half, int | float) else 0.0)
+        if abs(place[2] - height) > START_HEIGHT:
+            return Fault("start_pose", f"the object's centre is at a height of {place[2]:.3f} m, not within {START_HEIGHT} of {height:.3f}")
+        limit = task.noise_yaw_rad + START_TURN
+        turned = _turn(np.asarray(state.object_quaternion, float))
+        if turned > limit:
+            last = _turn(np.roll(state.object_quaternion, 1)) <= limit
+            why = "its numbers seem to be x, y, z, w; give w first" if last else "stand it upright, or take the turn that looks the same"
+            return Fault("start_pose", f"the object is turned by {turned:.3f} rad from upright at zero yaw, more than {limit:.3f}; {why}")
+        off = float(np.abs(goal - place - np.array(task.goal_offset_m)).max())
+        if off > START_GOAL:
+            return Fault("start_pose", f"the goal lies {off:.3f} m from the object's place plus goal_offset_m {task.goal_offset_m}, more "
+                                       f"than {START_GOAL}")  # fmt: skip
         return None
 
     # -- every tick
@@ -117,9 +183,17 @@ class Guard:
                                   ("goal", state.goal, 3)):  # fmt: skip
             if np.shape(value) != (size,) or not np.isfinite(value).all():
                 return Fault("not_finite", f"the state's {name} is {np.asarray(value).tolist()}")
+        fault = self._plausible(state)
+        if fault:
+            return fault
         arm = self._arm = self.observer.arm(state)
         if not np.isfinite(arm).all():
             return Fault("not_finite", f"joint {self.manifest.joints[int((~np.isfinite(arm)).argmax())].name} is not finite")
+        lost = np.abs(self.observer.in_order(state.joints)) > FARTHEST
+        if lost.any():
+            worst = int(lost.argmax())
+            return Fault("joint_limit", f"joint {self.manifest.joints[worst].name} reports "
+                                        f"{self.observer.in_order(state.joints)[worst]:.3g} rad, which no encoder counts")  # fmt: skip
         out = (arm < self._low - LIMIT_MARGIN) | (arm > self._high + LIMIT_MARGIN)
         if out.any():
             return Fault("joint_limit", f"joint {self.manifest.joints[int(out.argmax())].name} stands at {arm[out.argmax()]:.3f} rad")
@@ -137,6 +211,24 @@ class Guard:
         self._lifted = self._lifted or state.object_position[2] > self._rest + LIFTED
         if state.outcome == "lost" or state.object_position[2] < self.manifest.task.lost_below_m:
             return Fault("object_lost", f"the object lies at a height of {state.object_position[2]:.3f} m")
+        return None
+
+    def _plausible(self, state: State) -> Fault | None:
+        """Whether what a state says of object and gripper can be, in the units that it is to be in."""
+        length = float(np.linalg.norm(state.object_quaternion))
+        if abs(length - 1.0) > UNIT:
+            return Fault("implausible", f"the object's quaternion has length {length:.3g}, not 1")
+        if state.fingers is not None:
+            wanted = (len(self.manifest.gripper.joints),)
+            if np.shape(state.fingers) != wanted:
+                return Fault("state_shape", f"the state has fingers of shape {np.shape(state.fingers)}, not {wanted}")
+            if not np.isfinite(state.fingers).all():
+                return Fault("not_finite", f"the state's fingers are {np.asarray(state.fingers).tolist()}")
+        elif state.opening is None or not np.isfinite(state.opening):
+            return Fault("not_finite", f"the gripper's opening is {state.opening}, and its fingers are not reported")
+        elif not -WIDER <= state.opening <= 1.0 + WIDER:
+            return Fault("implausible", f"the gripper's opening is {state.opening:.3g}; it goes from 0 closed to 1 open, and is neither a "
+                                        "percentage nor a width in millimetres")  # fmt: skip
         return None
 
     def observation(self, observation: np.ndarray) -> Fault | None:
@@ -196,8 +288,3 @@ class Guard:
         self._late = self._late + 1 if late else 0
         limit = self.manifest.watch.late_ticks
         return Fault("late_ticks", f"{self._late} ticks in a row ended after their period") if self._late >= limit else None
-
-
-def _turns(difference: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Differences (n,) [rad], whole turns left out where a joint has no limits."""
-    return np.where(np.isfinite(low), difference, (difference + np.pi) % (2 * np.pi) - np.pi)

@@ -8,6 +8,7 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.evolution.tree import EvolutionTree
+from toolkit.quoting import letters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 _LOOK = {"source": ("#0072B2", "s"), "meta": ("#E69F00", "D"), "target": ("#009E73", "o")}
 
 
+@letters
 def plot_tree(tree: EvolutionTree, path: str | Path) -> None:
     """Draw the tree from left to right, with the length of every edge and the totals, into an image file.
 

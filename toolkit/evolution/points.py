@@ -1,6 +1,5 @@
 """Points files: source and targets as anybody's numbers, in JSON."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.evolution.tree import Terminal, check_terminals, checked_vector
+from toolkit.jsonfiles import content_of, parsed
 
 
 def load_points(path: str | Path) -> tuple[Terminal, tuple[Terminal, ...]]:
@@ -21,13 +21,8 @@ def load_points(path: str | Path) -> tuple[Terminal, tuple[Terminal, ...]]:
         ToolkitError: the file cannot be read, is not JSON, or breaks the form above.
     """
     path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ToolkitError(f"{path} cannot be read ({error.strerror}); check the path.") from error
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise ToolkitError(f"{path} is not JSON ({error}); write source and targets as one JSON object.") from error
-    return read_points(content, str(path))
+    content = content_of(path, "check the path")
+    return read_points(parsed(content, str(path), "write source and targets as one JSON object"), str(path))
 
 
 def read_points(content: Any, where: str) -> tuple[Terminal, tuple[Terminal, ...]]:

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import safetensors
 import safetensors.numpy
 import torch
 
 from toolkit.errors import ToolkitError
+from toolkit.tensors import read_tensors
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations are cut to +-10: no entry can drown the others when a robot leaves the known range."""
@@ -205,7 +205,7 @@ class _Network:
             if header["hidden"] != [len(arrays[f"layer_{i}.bias"]) for i in range(len(header["hidden"]))]:
                 raise ValueError("hidden sizes differ from the arrays")
             network = cls._blank(header)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise ToolkitError(f"{path} has an incomplete header ({error!r}); save the {cls.kind} again.") from error
         network._fill(arrays, str(path))
         return network
@@ -442,16 +442,10 @@ def _same_names(path: str | Path, what: str, expected: Sequence[str] | None, fou
 def _read_safetensors(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if not path.is_file():
         raise ToolkitError(f"{path} does not exist; give the path of a saved {kind}.")
-    try:
-        with safetensors.safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            arrays = {name: file.get_tensor(name) for name in file.keys()}
-        header = json.loads(metadata["meta_evolve"])
-        found = header["kind"]
-    except (safetensors.SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ToolkitError(f"{path} is damaged or is not a saved {kind} ({error}); use another file.") from error
+    header, arrays = read_tensors(path, f"saved {kind}", "meta_evolve", "use another file.")
+    found = header.get("kind")
     if found != kind:
-        raise ToolkitError(f"{path} holds a {found}, not a {kind}; give the path of a saved {kind}.")
+        raise ToolkitError(f"{path} holds a {str(found)[:40]}, not a {kind}; give the path of a saved {kind}.")
     return header, arrays
 
 

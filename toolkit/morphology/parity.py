@@ -23,6 +23,7 @@ from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, become_box, 
 from toolkit.morphology.matching import Matching, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
 from toolkit.morphology.space import BOX_TURNS
+from toolkit.quoting import letters
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
 
 CONFIGURATIONS = 100
@@ -357,6 +358,7 @@ NODE_RADIUS = 0.27
 """Of a joint's disc, in columns."""
 
 
+@letters
 def plot_merged_tree(matching: Matching, path: str | Path) -> None:
     """Draw the merged tree: a disc per joint with one sector per robot, coloured where that robot has the joint.
 

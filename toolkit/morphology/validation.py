@@ -5,7 +5,7 @@ its author wrote; what only the compiler sees is translated by ``compiler_compla
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -21,6 +21,12 @@ LARGEST_ANGLE = 2 * np.pi + 0.01
 """Largest angle [rad] that a card is believed: beyond a turn it was written in degrees."""
 LARGEST_TRAVEL = 0.5
 """Largest travel [m] of a jaw that a card is believed: beyond it was written in millimetres."""
+LARGEST_SPEED = 15.0
+"""Largest joint speed [rad/s] that a card is believed: beyond it was written in degrees per second."""
+LEAST_TORQUE, LARGEST_TORQUE = 0.1, 2000.0
+"""[N m] between which an arm's torque limits lie."""
+LARGEST_TURNS = 2
+"""Turns either way beyond which a joint's limits were written in degrees."""
 LARGEST_PLACE = 5.0
 """Largest coordinate [m] of a base that a card is believed: beyond it was written in millimetres or centimetres."""
 BASE_SITE, GRIP_SITE, FLANGE = "right_center", "grip_site", "right_hand"
@@ -73,6 +79,10 @@ def _of_the_card(robot: Robot) -> Iterator[str]:
     for axis, place in zip("xyz", robot.base_position, strict=True):
         if not abs(place) <= LARGEST_PLACE:
             yield f"robot {robot.name}: base_position {axis} = {place} lies metres away from the table; write metres, not millimetres"
+    for index, speed in enumerate(robot.joint_speeds or ()):
+        if not 0 < speed <= LARGEST_SPEED:
+            yield (f"robot {robot.name}: joint_speeds[{index}] = {speed} is no highest speed in rad/s; "
+                   f"{speed} degrees per second are {np.deg2rad(speed):.4f} rad/s")  # fmt: skip
     for role, pair in robot.gripper.targets.items():
         unit, large = ("m", LARGEST_TRAVEL) if slides(role) else ("rad", LARGEST_ANGLE)
         if not max(map(abs, pair)) <= large:
@@ -105,6 +115,9 @@ def _of_a_model(label: str, model: MujocoXML) -> Iterator[str]:
         if len(axis) and abs(length - 1.0) > 1e-3:
             mend = f"write {' '.join(f'{v:g}' for v in axis / length)}" if length > 0 else "say about which direction it moves"
             yield f"{label}: joint {name!r} has the axis {axis.tolist()} of length {length:g}, not 1; {mend}"
+        if len(limits) == 2 and joint.get("type", "hinge") == "hinge" and np.abs(limits).max() > LARGEST_TURNS * 2 * np.pi:
+            yield (f"{label}: joint {name!r} has the limits {limits[0]:g} to {limits[1]:g} rad, many turns; write radians, not degrees: "
+                   f"{np.deg2rad(limits[0]):.4f} to {np.deg2rad(limits[1]):.4f}")  # fmt: skip
         if len(limits) == 2 and limits[0] >= limits[1]:
             yield f"{label}: joint {name!r} has the limits {limits[0]:g} to {limits[1]:g}; swap them, the lower one comes first"
 
@@ -114,9 +127,12 @@ def _of_the_arm(robot: Robot, arm: MujocoXML) -> Iterator[str]:
     if len(joints) != len(robot.posture_seed):
         yield (f"robot {robot.name}: posture_seed has {len(robot.posture_seed)} angles, its arm {len(joints)} joints: "
                f"{', '.join(joints)}")  # fmt: skip
+    if robot.joint_speeds is not None and len(robot.joint_speeds) != len(joints):
+        yield f"robot {robot.name}: joint_speeds has {len(robot.joint_speeds)} numbers, its arm {len(joints)} joints: {', '.join(joints)}"
     if BASE_SITE not in [_own(arm, site) for site in arm.worldbody.iter("site")]:
         yield f"arm {robot.arm}: it has no site {BASE_SITE!r}, the frame that OSC commands refer to; add one at its base"
     driven = {_own(arm, motor, "joint") for motor in arm.actuator}
+    yield from _of_the_motors(f"arm {robot.arm}", arm, joints)
     idle = [joint for joint in joints if joint not in driven]
     if idle:
         yield f"arm {robot.arm}: no motor drives joint {idle[0]!r}; operational-space control needs one on every joint"
@@ -124,6 +140,44 @@ def _of_the_arm(robot: Robot, arm: MujocoXML) -> Iterator[str]:
         for joint in named:
             if joint not in joints:
                 yield f"robot {robot.name}: {field} names joint {joint!r}, which its arm lacks; it has {', '.join(joints)}"
+
+
+def _law(actuator: Element) -> str:
+    """What an actuator makes of its control: "motor" (a force or torque), "position servo", or what else it is."""
+    if actuator.tag != "general":
+        return {"motor": "motor", "position": "position servo"}.get(actuator.tag, f"<{actuator.tag}> actuator")
+    gain, bias = _numbers(actuator, "gainprm"), _numbers(actuator, "biasprm")
+    if actuator.get("gaintype", "fixed") != "fixed" or actuator.get("dyntype", "none") != "none":
+        return "actuator with dynamics or a gain of its own"
+    if actuator.get("biastype", "none") == "none":
+        return "motor" if len(gain) == 0 or gain[0] == 1.0 else f"motor with a gain of {gain[0]:g}"
+    return "position servo" if len(bias) > 1 and bias[1] < 0 else "velocity servo or an actuator with a bias"
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def _of_the_motors(label: str, arm: MujocoXML, joints: list[str]) -> Iterator[str]:
+    """Operational-space control writes torques [N m] to an arm's actuators; each mistake is named by the first that makes it."""
+    mine = [actuator for actuator in arm.actuator if _own(arm, actuator, "joint") in joints]
+
+    def first(bad: list[Element], why: Callable[[Element], str]) -> Iterator[str]:
+        if bad:
+            more = f", and so are {len(bad) - 1} more" if len(bad) > 1 else ""
+            yield f"{label}: actuator {_own(arm, bad[0])!r} of joint {_own(arm, bad[0], 'joint')!r} {why(bad[0])}{more}"
+
+    other = [actuator for actuator in mine if _law(actuator) != "motor"]
+    yield from first(other, lambda a: f"is {_article(_law(a))}, but operational-space control writes torques in N m to it; make it a "
+                                      "<motor> with its torque limit as ctrlrange")  # fmt: skip
+    motors = [actuator for actuator in mine if actuator not in other]
+    geared = [actuator for actuator in motors if len(_numbers(actuator, "gear")) and _numbers(actuator, "gear")[0] != 1.0]
+    yield from first(geared, lambda a: f"has a gear of {_numbers(a, 'gear')[0]:g}, so its control is no torque of the joint; take the gear "
+                                       "out and give ctrlrange in N m of the joint")  # fmt: skip
+    torques = {actuator: _numbers(actuator, "ctrlrange") for actuator in motors}
+    odd = [a for a, t in torques.items() if len(t) != 2 or not (t[0] < 0 < t[1] and LEAST_TORQUE <= max(-t[0], t[1]) <= LARGEST_TORQUE)]
+    yield from first(odd, lambda a: f"has the ctrlrange {a.get('ctrlrange') or 'of none'}, which is no torque limit from "
+                                    f"{LEAST_TORQUE:g} to {LARGEST_TORQUE:g} N m either way")  # fmt: skip
 
 
 def _of_the_gripper(robot: Robot, model: MujocoXML) -> Iterator[str]:
@@ -161,6 +215,9 @@ def _of_the_actuators(targets: dict, role_of: dict[str, str], label: str, model:
             names = ", ".join(driven) or "no joint"
             yield f"{label}: role {role} has a target, but joint {joint!r} has no actuator; its model drives {names}"
             continue
+        if _law(driven[joint]) != "position servo":
+            law = _article(_law(driven[joint]))
+            yield f"{label}: actuator {_own(model, driven[joint])!r} is {law}, but targets are positions; make it a <position> servo"
         limits = _numbers(driven[joint], "ctrlrange")
         outside = [v for v in pair if len(limits) == 2 and not limits[0] - 1e-6 <= v <= limits[1] + 1e-6]
         if outside:

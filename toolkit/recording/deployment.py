@@ -5,7 +5,6 @@
     arm/joints, action, object/height   [rad], the policy's action, [m]
 """
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,8 @@ import rerun.blueprint as rrb
 
 from toolkit.deploy.runtime import LOG_FORMAT, STAGES
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import content_of, parsed_object, require
+from toolkit.quoting import markdown
 from toolkit.recording.layout import quiet_layout
 from toolkit.recording.learning import PATH_COLOURS
 
@@ -26,6 +27,11 @@ TITLES = {
     "state/held": "Held and late ticks", "action": "Action of the policy", "arm/joints": "Arm angles [rad]",
     "object/height": "Height of the object [m]",
 }  # fmt: skip
+_NUMBERS = [(float, None)]
+_NOTE = {"episode": int}
+_TICK = _NOTE | {"tick": int, "late": bool, "hold": bool, "action": _NUMBERS} | {f"{stage}_ms": float for stage in STAGES}
+_ALSO = {"joints": _NUMBERS, "object": _NUMBERS, "age_ms": (float, None), "fault": str}
+"""What a tick's line may hold besides."""
 PAGE = (("time/own", "time/arm", "state/age", "state/held"), ("action", "arm/joints", "object/height"))
 """Columns of the page."""
 
@@ -36,7 +42,7 @@ def record_deployment(log: Path) -> Path:
     Raises:
         ToolkitError: no such log, or another file.
     """
-    about, rows = _read(log)
+    about, rows = read_log(log)
     out = log.with_suffix(".rrd")
     out.unlink(missing_ok=True)
     ticks = [row for row in rows if "tick" in row]
@@ -53,15 +59,31 @@ def record_deployment(log: Path) -> Path:
     return out
 
 
-def _read(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def read_log(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What a log of ``deploy --log`` is about, and its lines.
+
+    Raises:
+        ToolkitError: no such log, another file, or a line that is damaged.
+    """
+    mend = "give a file that `meta-evolve deploy --log` wrote"
+    lines = content_of(log, mend).split(b"\n")
     try:
-        lines = log.read_text(encoding="utf-8").splitlines()
-        about = json.loads(lines[0]) if lines else {}
-        rows = [json.loads(line) for line in lines[1:] if line.endswith("}")]  # a killed run leaves a torn last line
-    except (OSError, ValueError) as error:
-        raise ToolkitError(f"{log} is no deployment log ({error}); give a file that `meta-evolve deploy --log` wrote") from None
-    if not isinstance(about, dict) or about.get("format") != LOG_FORMAT:
-        raise ToolkitError(f"{log} is no deployment log; give a file that `meta-evolve deploy --log` wrote")
+        about = parsed_object(lines[0], "line 1", "it says what is logged")
+    except ToolkitError as error:
+        raise ToolkitError(f"{log} is no deployment log ({error}); {mend}") from None
+    if about.get("format") != LOG_FORMAT:
+        raise ToolkitError(f"{log} is no deployment log; {mend}")
+    rows = []
+    for number, line in enumerate(lines[1:-1], start=2):  # a killed run leaves a torn last line
+        row = parsed_object(line, f"{log} line {number}", "delete that line")
+        shape = (_TICK if "tick" in row else _NOTE) | {key: shape for key, shape in _ALSO.items() if key in row}
+        rows.append(require(row, shape, f"{log} line {number}", "delete that line"))
+    wanted = {"action": len(ACTIONS), "object": 3, "joints": max((len(row["joints"]) for row in rows if "joints" in row), default=0)}
+    odd = [(key, row) for row in rows for key, size in wanted.items() if key in row and len(row[key]) != size]
+    if odd:
+        key, row = odd[0]
+        raise ToolkitError(f"{log} is damaged: tick {row.get('tick')} of episode {row['episode']} has {len(row[key])} numbers of {key}, "
+                           f"not {wanted[key]}; delete that line")  # fmt: skip
     return about, rows
 
 
@@ -116,13 +138,13 @@ def _layout(curves: dict[str, tuple[tuple[str, ...], np.ndarray]]) -> rrb.Bluepr
 def _summary(about: dict[str, Any], rows: list[dict[str, Any]], ticks: list[dict[str, Any]]) -> str:
     faults = Counter(row["fault"] for row in ticks if "fault" in row)
     episodes = len({row["episode"] for row in ticks})
-    lines = [f"# {about.get('robot')}: {about.get('task')}", "",
-             f"{len(ticks)} ticks of {episodes} episodes, {about.get('form')} commands, {about.get('pace')}.", ""]  # fmt: skip
+    robot, task, form, pace = (markdown(str(about.get(key))) for key in ("robot", "task", "form", "pace"))
+    lines = [f"# {robot}: {task}", "", f"{len(ticks)} ticks of {episodes} episodes, {form} commands, {pace}.", ""]
     if ticks:
         own = np.array([sum(row[f"{stage}_ms"] for stage in STAGES[1:4]) for row in ticks])
         half, most = np.percentile(own, [50, 99])
         lines += [f"Half of the ticks took less than {half:.2f} ms, 99 of 100 less than {most:.2f} ms, the longest {own.max():.2f} ms. "
                   f"Late ticks: {sum(row['late'] for row in ticks)}.", ""]  # fmt: skip
-    lines += [f"- held for {kind}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
-    lines += [f"- episode {row['episode']} stopped: {row['stop']}" for row in rows if "stop" in row]
+    lines += [f"- held for {markdown(kind)}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
+    lines += [f"- episode {row['episode']} stopped: {markdown(str(row['stop']))}" for row in rows if "stop" in row]
     return "\n".join(lines)

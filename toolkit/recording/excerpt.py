@@ -13,14 +13,13 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
-from rerun.chunk import Chunk
 from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.recording.layout import page_timeline
 from toolkit.recording.rollouts import WINDOW
 from toolkit.recording.stream import FILM, ITERATION, Stream
-from toolkit.recording.viewer import reader_of
+from toolkit.recording.viewer import chunks_of
 
 ROOTS = {
     "evolution": ("/evolution/tree", "/evolution/pca2", "/evolution/pca3", "/evolution/alpha"),
@@ -55,7 +54,7 @@ def moment_of(file: Path, at: float | None, page: str) -> float:
     if at is not None:
         return at
     timeline = page_timeline(page)
-    ends = [stamps.max() for chunk in _chunks(file) if (stamps := _stamps(chunk.to_record_batch(), timeline)).size]
+    ends = [stamps.max() for chunk in chunks_of(file) if (stamps := _stamps(chunk.to_record_batch(), timeline)).size]
     return float(max(ends, default=0)) / (1 if timeline == ITERATION else 1e9)
 
 
@@ -73,7 +72,7 @@ def excerpt(file: Path, page: str, at: float, layout: rrb.Blueprint, out: Path) 
         ToolkitError: the recording holds nothing of the page up to then.
     """
     timeline = page_timeline(page)
-    shown = [chunk for chunk in _chunks(file) if chunk.entity_path.startswith(ROOTS[page])]
+    shown = [chunk for chunk in chunks_of(file) if chunk.entity_path.startswith(ROOTS[page])]
     state: dict[str, dict[str, Part]] = {}
     curves: list[tuple[str, np.ndarray, list[np.ndarray]]] = []
     for chunk in shown:
@@ -94,10 +93,6 @@ def excerpt(file: Path, page: str, at: float, layout: rrb.Blueprint, out: Path) 
         columns = rr.Scalars.columns(scalars=np.concatenate(rows)).partition([len(row) for row in rows])
         stream.rows(entity, *((1e-9 * stamps, None) if timeline == FILM else (None, stamps)), columns)
     stream.close()
-
-
-def _chunks(file: Path) -> Iterator[Chunk]:
-    return reader_of(file).stream()
 
 
 def _stamps(batch: pa.RecordBatch, timeline: str) -> np.ndarray:

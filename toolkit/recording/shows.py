@@ -1,6 +1,5 @@
 """Whole recordings: a run rebuilt from its folder, a running one followed, a morph, two robots side by side."""
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,14 +17,15 @@ from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import Phase, Take
 from toolkit.plan import Plan
+from toolkit.quoting import markdown
 from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
 from toolkit.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import Cost, Story, story_layout
 from toolkit.recording.stream import FILM, Stream
-from toolkit.recording.viewer import reader_of
-from toolkit.runs import Run
+from toolkit.recording.viewer import chunks_of
+from toolkit.runs import Run, read_tree, transfer_records
 from toolkit.settings import CHECKING_SEEDS
 from toolkit.simulation.plant import Plant, merged_plant
 
@@ -71,25 +71,6 @@ class Known:
         return tree
 
 
-def read_tree(folder: Path) -> dict[str, Any]:
-    """The evolution tree of a run folder.
-
-    Raises:
-        ToolkitError: it is missing or damaged.
-    """
-    file = folder / "tree.json"
-    try:
-        tree = json.loads(file.read_bytes())
-        sound = {len(node["alpha"]) for node in tree["nodes"]} and [(edge["from"], edge["to"], edge["length"]) for edge in tree["edges"]]
-    except FileNotFoundError:
-        raise ToolkitError(f"{folder} has no tree.json yet; wait until its transfer has begun") from None
-    except (OSError, ValueError, KeyError, TypeError):
-        sound = None
-    if not sound:
-        raise ToolkitError(f"{file} is damaged; start the transfer again under another --run")
-    return tree
-
-
 def rebuild(known: Known, out: Path | None = None) -> Cost:
     """Make a run's recording anew, from the run folder alone.
 
@@ -101,7 +82,7 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
     temporary = path.with_name(f".{path.stem}.new.rrd")
     tree = known.tree()
     run = Run.open(known.folder)
-    records = run.read_metrics()
+    records = transfer_records(run)
     story = Story(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native, records=records)
     if story.cost.known == 0:
         for phase in _last_phases(known):
@@ -114,7 +95,7 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
 
 def page_layout(folder: Path, recording: Path, page: str, excerpt: bool = False) -> rrb.Blueprint:
     """The layout of one page alone, to be opened with a run's recording, or with an excerpt of it."""
-    return story_layout(Plan(read_tree(folder)), recorded_extent(reader_of(recording).stream()), page, excerpt)
+    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks_of(recording)), page, excerpt)
 
 
 def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
@@ -128,7 +109,7 @@ def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False)
     story = Story(Stream(viewer), known.folder, known.merged, known.tree(), known.policy, known.native)
     told = 0
     while not until():
-        records = Run.open(known.folder).read_metrics()
+        records = transfer_records(Run.open(known.folder))
         for record in records[told:]:
             story.tell(record)
         told = max(told, len(records))  # a resumed transfer drops records, and writes the very same again
@@ -201,7 +182,7 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
     scene.label(0.0, 0, [f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)])
     for page, (label, _, _), film in zip(pages, sides, films, strict=True):
         page.act(times[: len(film.qpos)], 0, film)
-        page.caption(0.0, 0, f"**{label}**, seed {seed}, without noise.\n\n**{film.verdict().capitalize()}.**")
+        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise.\n\n**{film.verdict().capitalize()}.**")
     stream.close()
     return films
 
@@ -232,9 +213,9 @@ def _last_phases(known: Known) -> Iterator[Phase]:
 
 def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
     if (folder / "summary.md").exists():
-        return (folder / "summary.md").read_text(encoding="utf-8")
+        return (folder / "summary.md").read_text(encoding="utf-8", errors="replace")
     arrived = [record["target"] for record in records if record["event"] == "arrived"]
-    return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {', '.join(arrived) or 'none yet'}. "
+    return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {markdown(', '.join(arrived)) or 'none yet'}. "
             "Continue it with `meta-evolve transfer --run RUN --resume` and the settings of its config.json.")  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import FOLDER, Phase, Take, load_phase
 from toolkit.plan import Plan
+from toolkit.quoting import markdown
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.recording.layout import page_timeline, pages_layout, robot_view
 from toolkit.recording.learning import LearningPage, learning_views
@@ -102,7 +103,7 @@ class Story:
         self._targets = [name for name, node in self.plan.nodes.items() if node["kind"] == "target"]
         start = np.array(self.plan.nodes[source]["alpha"])
         self._stand(np.array([0.0]), start[None], self._targets, source)
-        self.rollouts.caption(0.0, 0, f"**{source}**, the source robot.")
+        self.rollouts.caption(0.0, 0, f"**{markdown(source)}**, the source robot.")
         self.clock = 1.0
         self._rest()
         for record in records:
@@ -192,7 +193,7 @@ class Story:
             times = self.clock + np.arange(count) / MORPH_RATE
             alphas = phase.start + np.linspace(0.0, 1.0, count)[:, None] * (end - phase.start)
             self._stand(times, alphas, phase.targets, f"{path}, phase {phase.number}")
-            self.rollouts.caption(float(times[0]), self.iteration, f"**{path}**, phase {phase.number}: the robot moves on.")
+            self.rollouts.caption(float(times[0]), self.iteration, f"**{markdown(path)}**, phase {phase.number}: the robot moves on.")
             self.clock = float(times[-1]) + PAUSE
         self.evolution.walked(self.clock, self.iteration, phase.start, end, phase.targets, success)
         self._waiting += [(phase, take) for take in sorted(phase.takes, key=_priority if self.share is not None else _in_order)]
@@ -246,10 +247,12 @@ class Story:
 
     def _caption(self, phase: Phase, take: Take, verdict: str) -> str:
         edge = self.plan.edge_of(phase.targets)
-        where = f"{self.plan.fraction(edge, take.alpha):.0%} of {edge['from']} to {edge['to']}" if edge else ", ".join(phase.targets)
-        robot = f"F(alpha) at {where}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
+        where = markdown(", ".join(phase.targets))
+        if edge:
+            where = f"{self.plan.fraction(edge, take.alpha):.0%} of {markdown(edge['from'])} to {markdown(edge['to'])}"
+        robot = f"F(alpha) at {where}" if phase.stage == "evolve" else f"the unmodified {markdown(phase.targets[0])}"
         played = f"exploring, after {take.update} updates" if take.noise else "without noise"
-        return (f"**{phase.path}, phase {phase.number} ({phase.stage})**: {', '.join(take.roles)} episode on {robot}, "
+        return (f"**{markdown(phase.path)}, phase {phase.number} ({markdown(phase.stage)})**: {', '.join(take.roles)} episode on {robot}, "
                 f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")  # fmt: skip
 
 

@@ -5,13 +5,14 @@ import socket
 import subprocess
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rerun.chunk import RrdReader
+from rerun.chunk import Chunk, RrdReader
 
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 from toolkit.recording.programs import viewer_program
 from toolkit.recording.stream import FILM
 
@@ -23,6 +24,8 @@ WEB_PORT, VIEWER_PORT = 9090, 9876
 STILL_SIZE = "1600x1000"
 STILL_PATIENCE = 180.0
 """[s] that a viewer without a screen may take to show a recording."""
+OPENING = 1.5
+"""[s] within which a viewer that cannot draw here has ended."""
 LOOK = 1.0
 """[s] between two looks at a viewer without a screen; meshes and texts are loaded, frame by frame, when two look the same."""
 
@@ -43,14 +46,24 @@ def recording_of(path: Path) -> Path:
     if not file.exists():
         hint = "; make it with --rebuild" if (path / "config.json").exists() else ""
         raise ToolkitError(f"no recording at {file}{hint or '; give an .rrd file, or the folder of a run that records'}")
-    reader_of(file)
+    next(chunks_of(file), None)  # what cannot be read further on is said here, not by the viewer
     return file
 
 
 def open_window(*files: Path) -> None:
-    """Open a recording, and a layout for it, in a viewer of its own."""
+    """Open a recording, and a layout for it, in a viewer of its own.
+
+    Raises:
+        ToolkitError: it ends at once.
+    """
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, **quiet)
+    process = subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, **quiet)
+    try:
+        process.wait(OPENING)
+    except subprocess.TimeoutExpired:
+        return
+    if process.returncode:
+        raise ToolkitError(f"the viewer ended at once with status {process.returncode}; see `meta-evolve doctor`, or save a --still")
 
 
 def serve(*files: Path) -> tuple[subprocess.Popen, str, str]:
@@ -73,11 +86,17 @@ def serve(*files: Path) -> tuple[subprocess.Popen, str, str]:
 
 
 def follow_window() -> tuple[subprocess.Popen, str]:
-    """A viewer that waits for a stream; returns its process and the address to send to."""
+    """A viewer that waits for a stream; returns its process and the address to send to.
+
+    Raises:
+        ToolkitError: it does not start.
+    """
     port = free_port(VIEWER_PORT)
     command = [str(viewer_program()), "--port", str(port), "--expect-data-soon"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _answers(port, process)
+    if not _answers(port, process):
+        process.terminate()
+        raise ToolkitError(f"the viewer does not start on port {port}; see `meta-evolve doctor`")
     return process, f"rerun+http://127.0.0.1:{port}/proxy"
 
 
@@ -149,28 +168,57 @@ def _shows(client: "ViewerClient") -> bool:
 
 
 def reader_of(path: Path) -> RrdReader:
-    """Open a recording for reading.
+    """Open a recording for reading; its chunks are read by ``chunks_of`` alone.
 
     Raises:
         ToolkitError: it cannot be read, is cut off, or is no recording.
     """
     try:
         with open(path, "rb") as file:
-            ours = file.read(4) == b"RRF2"
+            mark = file.read(4)
     except OSError as error:
         raise ToolkitError(f"recording {path} cannot be read ({error.strerror}); check the path") from None
-    if not ours:
+    if mark != b"RRF2":
+        if mark[:3] == b"RRF":
+            raise _unreadable(path, "was written by an old version of Rerun")
         raise ToolkitError(f"{path} is not a Rerun recording; give an .rrd file written by `meta-evolve transfer`")
     try:
         with warnings.catch_warnings():  # a running or killed transfer's file has no footer, and reads well without
             warnings.simplefilter("ignore")
             reader = RrdReader(path)
             found = reader.recordings()
-    except (RuntimeError, ValueError):
-        found = []
+    except UNREADABLE as error:
+        raise _unreadable(path, _why(error)) from None
     if not found:
-        raise ToolkitError(f"recording {path} is cut off; make it anew with `meta-evolve view {path.parent} --rebuild`")
+        raise _unreadable(path, "is cut off: it holds no recording")
     return reader
+
+
+def chunks_of(path: Path) -> Iterator[Chunk]:
+    """A recording's chunks, one after the other: what opens well may still be damaged, or of another version, further on.
+
+    Raises:
+        ToolkitError: as soon as one cannot be read.
+    """
+    try:
+        yield from reader_of(path).stream()
+    except UNREADABLE as error:
+        raise _unreadable(path, _why(error)) from None
+
+
+UNREADABLE = (RuntimeError, ValueError, TypeError, OSError, MemoryError)
+"""What rerun and Arrow raise on a damaged file, here or where its chunks are taken apart."""
+
+
+def _why(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    if "incompatible" in text:
+        return f"was written by another version of Rerun ({text.rsplit(': ', 1)[-1][:100]})"
+    return f"is cut off or damaged ({text.rsplit(': ', 1)[-1][:100]})"
+
+
+def _unreadable(path: Path, why: str) -> ToolkitError:
+    return ToolkitError(f"recording {path} {why}; make it anew with `{told('view', path.parent, '--rebuild')}`")
 
 
 def free_port(wanted: int) -> int:

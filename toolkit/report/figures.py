@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.plan import Plan, matrix
+from toolkit.quoting import letters
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 2, 2, 2)))
 MARKERS = "osv^Dx+*"
@@ -30,6 +31,7 @@ PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
 """Behind letters that may stand on a line."""
 
 
+@letters
 def png(figure: Figure) -> bytes:
     """The figure as a PNG."""
     out = BytesIO()
@@ -43,6 +45,7 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
+@letters
 def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None]]) -> Figure:
     """The tree to scale. Walked edges are thick, darker with more success, which is also written on them.
 
@@ -76,6 +79,7 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
     return figure
 
 
+@letters
 def projection_figure(plan: Plan, ways: Sequence[np.ndarray]) -> Figure:
     """The tree and the paths walked, (n, D) robots each, in the plane of most variance."""
     figure = _figure(PAGE, 0.8 * PAGE)
@@ -97,6 +101,7 @@ def projection_figure(plan: Plan, ways: Sequence[np.ndarray]) -> Figure:
     return figure
 
 
+@letters
 def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
     """alpha of robots (D,) as matrices: a row per joint or shape, a column per quantity, white 0 to black 1."""
     places, rows, columns = matrix(space)
@@ -117,6 +122,7 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
     return figure
 
 
+@letters
 def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
     """Learning curves over the run's records, one line per path; hollow: a robot too far away, a shorter step follows."""
     told = lambda event, name: any(event in (None, r["event"]) and r.get(name) is not None for r in records)  # noqa: E731
@@ -150,6 +156,7 @@ def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
     return figure
 
 
+@letters
 def strip_figure(title: str, pictures: Sequence[np.ndarray], shares: Sequence[float]) -> Figure:
     """Stills (h, w, 3) in two rows of four, each with how far along the path it is."""
     columns = 4

@@ -17,7 +17,7 @@ from toolkit.phases import Phase, load_phases
 from toolkit.plan import Plan
 from toolkit.report import figures
 from toolkit.report.stills import Studio
-from toolkit.runs import Run
+from toolkit.runs import Run, read_report, transfer_records
 
 STILLS = 8
 """Along each path."""
@@ -35,6 +35,10 @@ pre { overflow-x: auto; background: #f4f4f4; padding: .6rem; font-size: .8rem; }
 @media (max-width: 30rem) { table { font-size: .8rem; } th, td { padding: .25rem .3rem; } .bar { display: none; } }
 .note { border-left: 4px solid #111; padding: .2rem .8rem; background: #f4f4f4; }
 """
+
+
+class _Html(str):
+    """HTML, as opposed to a text that is shown in it."""
 
 
 def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: Path | None = None,
@@ -56,8 +60,8 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     """
     out = out or folder / "page"
     run = Run.open(folder)
-    records, phases, plan = run.read_metrics(), load_phases(folder), Plan(tree)
-    report = json.loads((folder / "report.json").read_bytes()) if (folder / "report.json").is_file() else None
+    unread: list[str] = []
+    records, phases, plan, report = transfer_records(run), load_phases(folder, unread.append), Plan(tree), read_report(folder)
     pictures: dict[str, bytes] = {}
     progress("figures")
     walked = walked_edges(plan, records, phases)
@@ -67,12 +71,12 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     pictures["curves"] = figures.png(figures.curves_figure(records))
     pictures["parameters"] = figures.png(figures.heat_figure(merged.space, {
         name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))  # fmt: skip
-    missing = ""
+    missing = unread
     try:
         for index, strip in enumerate(_strips(plan, merged, progress), start=1):
             pictures[f"morph-{index}"] = figures.png(strip)
     except ToolkitError as error:
-        missing = str(error)
+        missing.append(str(error))
     page = _page(run, plan, records, phases, report, pictures, missing)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -124,7 +128,7 @@ def _strips(plan: Plan, merged: MergedRobot, progress: Callable[[str], None]) ->
 
 
 def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str, Phase], report: dict[str, Any] | None,
-          pictures: dict[str, bytes], missing: str) -> str:  # fmt: skip
+          pictures: dict[str, bytes], missing: list[str]) -> str:  # fmt: skip
     config = run.config
     title = f"{config.get('source', '?')} to {', '.join(config.get('targets', []))}: {config.get('task', '?')}"
     parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(config, records, report)]
@@ -135,7 +139,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
     parts += ["<h2>Learning</h2>", _figure(pictures, "curves", legend), _paths(records), _trouble(phases)]
     parts += ["<h2>Robots on their way</h2>"]
-    parts += [f'<p class="note">{html.escape(missing)}</p>'] if missing else []
+    parts += [f'<p class="note">{html.escape(why)}</p>' for why in missing]
     parts += [_figure(pictures, name, "") for name in pictures if name.startswith("morph-")]
     parts += ["<h2>Parameters</h2>", _figure(pictures, "parameters", "alpha of every robot: white 0, black 1; rows are joints and shapes.")]
     settings = json.dumps(config, indent=1)
@@ -168,7 +172,7 @@ def _targets(config: dict[str, Any], records: list[dict[str, Any]], report: dict
         native, merged = both["native"], both["merged"]
         low, high = native["ci95"]
         bar = f'<span class="bar" style="width:{4 * native["success_rate"]:.2f}em"></span>'
-        rows.append([name, f"{bar}{native['successes']} of {native['episodes']}", f"{low:.2f} to {high:.2f}",
+        rows.append([name, _Html(f"{bar}{native['successes']} of {native['episodes']}"), f"{low:.2f} to {high:.2f}",
                      f"{merged['successes']} of {merged['episodes']}"])  # fmt: skip
     return _table(head, rows)
 
@@ -205,17 +209,19 @@ def _trouble(phases: dict[str, Phase]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """An HTML table; text that starts with a tag is taken as it is."""
-    cell = lambda value: str(value) if str(value).startswith("<span") else html.escape(str(value))  # noqa: E731
+    """An HTML table; every text is escaped but what this page wrote as HTML itself."""
+    cell = lambda value: str(value) if isinstance(value, _Html) else html.escape(str(value))  # noqa: E731
     number = lambda value: ' class="number"' if isinstance(value, int) else ""  # noqa: E731
     body = "".join("<tr>" + "".join(f"<td{number(value)}>{cell(value)}</td>" for value in row) + "</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{"".join(f"<th>{h}</th>" for h in head)}</tr></thead><tbody>{body}</tbody></table></div>'
+    heads = "".join(f"<th>{html.escape(h)}</th>" for h in head)
+    return f'<div class="wide"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _figure(pictures: dict[str, bytes], name: str, caption: str) -> str:
     data = base64.b64encode(pictures[name]).decode()
-    return f'<figure><img alt="{name}" src="data:image/png;base64,{data}"><figcaption>{html.escape(caption)}</figcaption></figure>'
+    picture = f'<img alt="{html.escape(name)}" src="data:image/png;base64,{data}">'
+    return f"<figure>{picture}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
 def _read(file: Path) -> str:
-    return file.read_text(encoding="utf-8") if file.is_file() else ""
+    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""

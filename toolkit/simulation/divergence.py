@@ -4,7 +4,6 @@
 """
 
 import json
-import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from tasks.npz import ArrayError, Arrays
 from toolkit.errors import ToolkitError
+from toolkit.jsonfiles import parsed_object, require
 from toolkit.simulation.osc import STATE
 from toolkit.simulation.plant import SPEED_LIMIT, WATCHED_WARNINGS, Plant
 
 FORMAT = 1
 """Of the file."""
-_ARRAYS = {"alpha": 1, "state": 1, "command": 1, "goal": 1, "actions": 2}
+_ARRAYS = {"alpha": (None,), "state": (None,), "command": (None,), "goal": (3,), "actions": (None, None)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,21 +64,22 @@ class Divergence:
         Raises:
             ToolkitError: no such file, or not one of ours.
         """
+        if not path.is_file():
+            raise ToolkitError(f"{path} does not exist; a run whose simulation blew up leaves divergence.npz in its folder")
+        mend = "take the run's divergence.npz"
         try:
-            with np.load(path, allow_pickle=False) as content:
-                header = json.loads(str(content["header"]))
-                arrays = {name: np.array(content[name], float) for name in _ARRAYS}
-            names = {"robots": tuple(map(str, header["robots"])), "native": bool(header["native"]), "task": str(header["task"]),
-                     "seed": int(header["seed"])}  # fmt: skip
-        except FileNotFoundError:
-            raise ToolkitError(f"{path} does not exist; a run whose simulation blew up leaves divergence.npz in its folder") from None
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise ToolkitError(f"{path} is no divergence dump or is damaged ({error}); take the run's divergence.npz") from None
-        if header.get("format") != FORMAT:
-            raise ToolkitError(f"{path} has format {header.get('format')}; this version reads {FORMAT}")
-        for name, dimensions in _ARRAYS.items():
-            if arrays[name].ndim != dimensions or (name == "actions" and not len(arrays[name])):
-                raise ToolkitError(f"{path}: {name} has shape {arrays[name].shape}; the file is damaged")
+            with Arrays(path) as content:
+                text = str(content.read("header", (), ("str",)))
+                header = parsed_object(text, f"the header of {path}", mend)
+                arrays = {name: content.read(name, shape, ("float64",), finite=False) for name, shape in _ARRAYS.items()}
+        except ArrayError as error:
+            raise ToolkitError(f"{path} is no divergence dump or is damaged ({error}); {mend}") from None
+        require(header, {"format": int, "robots": [str], "native": bool, "task": str, "seed": int}, f"the header of {path}", mend)
+        if header["format"] != FORMAT:
+            raise ToolkitError(f"{path} has format {header['format']}; this version reads {FORMAT}")
+        if not len(arrays["actions"]) or not header["robots"] or header["seed"] < 0:
+            raise ToolkitError(f"{path} names no robot, no seed or no action, so it is damaged; {mend}")
+        names = {"robots": tuple(header["robots"]), **{key: header[key] for key in ("native", "task", "seed")}}
         return cls(**names, **arrays)
 
     @property

@@ -25,6 +25,8 @@ RATE = 20.0
 """[Hz] at which targets are given; franky interpolates."""
 DYNAMICS = 0.2
 """Share of the arm's own speed, acceleration and jerk limits that franky may use. Raise it once the first day went well."""
+WIDTH_NOISE = 0.005
+"""[m] by which a measured width may leave what the hand can open."""
 GRIPPER_SPEED = 0.1
 """[m/s] of the jaws."""
 
@@ -62,13 +64,20 @@ class Franka:
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def read(self) -> State:
-        """See Driver. Efforts are the measured link-side torques [N m], gravity included."""
+        """See Driver. Efforts are the measured link-side torques [N m], gravity included.
+
+        Raises:
+            ToolkitError: the hand reports no width that it can have.
+        """
         state = self._arm.state
         fault = "an error: recover it by hand" if self._arm.has_errors else ""
         position, quaternion, goal, stamp = self.scene()
+        width = float(self._hand.width)
+        if not -WIDTH_NOISE <= width <= self.width + WIDTH_NOISE:
+            raise ToolkitError(f"the hand reports a width of {width:.3g} m, not from 0 to {self.width:.3f}; is it homed, and in metres?")
         return State(
             min(stamp, time.monotonic()), np.array(state.q, float), position, quaternion, goal,
-            opening=float(np.clip(self._hand.width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
+            opening=float(np.clip(width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
             efforts=np.array(state.tau_J, float), fault=fault,
         )  # fmt: skip
 

@@ -55,15 +55,23 @@ class Kortex:
         return ArmInfo(self.robot, self.names, (), ("joint",), RATE)
 
     def read(self) -> State:
-        """See Driver. Degrees from 0 to 360 become radians from -pi to pi."""
+        """See Driver. Degrees from 0 to 360 become radians from -pi to pi.
+
+        Raises:
+            ToolkitError: another number of joints, or no gripper: Kortex gives empty lists for what is not there.
+        """
         feedback = self.cyclic.RefreshFeedback()
         position, quaternion, goal, stamp = self.scene()
-        actuators = feedback.actuators
+        actuators, motors = feedback.actuators, feedback.interconnect.gripper_feedback.motor
+        if len(actuators) != len(self.names):
+            raise ToolkitError(f"the arm reports {len(actuators)} joints, not {len(self.names)}; is it the arm that the bundle is for?")
+        if not len(motors):
+            raise ToolkitError("the arm reports no gripper; is one mounted, and set in the arm's own configuration?")
         angles = np.radians([actuator.position for actuator in actuators])
         self._measured = (angles + np.pi) % (2 * np.pi) - np.pi
         return State(
             min(stamp, time.monotonic()), self._measured, position, quaternion, goal,
-            opening=1.0 - feedback.interconnect.gripper_feedback.motor[0].position / 100.0,
+            opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
             efforts=np.array([actuator.torque for actuator in actuators]),
         )  # fmt: skip

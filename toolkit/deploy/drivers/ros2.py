@@ -29,7 +29,6 @@ RATE = 100.0
 PERIOD = 0.05
 """[s] of a tick."""
 
-
 class Ros2:
     """An arm behind a joint_trajectory_controller.
 
@@ -50,11 +49,13 @@ class Ros2:
         self.robot, self.names, self.ros_names = robot, tuple(joints), tuple(ros_names)
         self.scene, self.gripper, self.opening = scene, gripper, opening
         self._heard: tuple[float, Any] | None = None
+        self._there: set[str] = set()  # what has been a number for every joint, and is to be one from then on
         self._stopped = ""
 
     def heard(self, message: Any) -> None:
-        """Callback for /joint_states."""
-        self._heard = time.monotonic(), message
+        """Callback for /joint_states, on which several may speak: a gripper's own message says nothing of the arm, and hides nothing."""
+        if self._heard is None or any(name in message.name for name in self.ros_names):
+            self._heard = time.monotonic(), message
 
     def connect(self) -> ArmInfo:
         """See Driver."""
@@ -63,20 +64,33 @@ class Ros2:
     def read(self) -> State:
         """See Driver. Joints are looked up by name: /joint_states has an order of its own.
 
+        An interface that an arm does not have is NaN there, of one joint or of all; it is then not reported at all. One that was
+        there and is NaN now stays NaN, which holds the arm.
+
         Raises:
             ToolkitError: nothing was heard yet, or a joint is missing.
         """
         if self._heard is None:
             raise ToolkitError("nothing came on /joint_states yet; is the driver running, and is the node spun?")
         stamp, message = self._heard
-        missing = [name for name in self.ros_names if name not in message.name]
+        names = list(message.name)
+        missing = [name for name in self.ros_names if name not in names]
         if missing:
-            raise ToolkitError(f"/joint_states has no joint {missing[0]!r}; it has {', '.join(message.name)}")
-        order = [list(message.name).index(name) for name in self.ros_names]
+            raise ToolkitError(f"/joint_states has no joint {missing[0]!r}; it has {', '.join(names)}")
+        order = [names.index(name) for name in self.ros_names]
+        if len(message.position) != len(names):
+            raise ToolkitError(f"/joint_states names {len(names)} joints and has {len(message.position)} positions")
         position, quaternion, goal, seen = self.scene()
-        pick = lambda values: np.array(values, float)[order] if len(values) == len(message.name) else None  # noqa: E731
-        return State(min(stamp, seen), pick(message.position), position, quaternion, goal, opening=self.opening(),
-                     speeds=pick(message.velocity), efforts=pick(message.effort), fault=self._stopped)  # fmt: skip
+        speeds, efforts = self._present("speed", message.velocity, order), self._present("effort", message.effort, order)
+        return State(min(stamp, seen), np.array(message.position, float)[order], position, quaternion, goal, opening=self.opening(),
+                     speeds=speeds, efforts=efforts, fault=self._stopped)  # fmt: skip
+
+    def _present(self, what: str, values: Sequence[float], order: list[int]) -> np.ndarray | None:
+        """What a message says of an interface, (n,) in the arm's order; None where the arm does not have it for every joint."""
+        found = np.array(values, float)[order] if len(values) > max(order) else np.full(len(order), np.nan)
+        if np.isfinite(found).all():
+            self._there.add(what)
+        return found if what in self._there else None
 
     def send(self, command: Command) -> Command:
         """See Driver. A hold is a trajectory of one point, with no speed.

@@ -9,6 +9,7 @@ import numpy as np
 from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 
 PATIENCE = 20.0
 """[s] for a single answer; a busy machine compiles or loads a model meanwhile."""
@@ -24,30 +25,41 @@ class SimDriver:
 
     def __init__(self, host: str, port: int, patience: float = 120.0) -> None:
         self.host, self.port, self.patience = host, port, patience
-        self._socket: socket.socket | None = None
+        self._line: wire.Line | None = None
+        self._asked, self._gone = 0, ""
+
+    @property
+    def where(self) -> str:
+        """HOST:PORT."""
+        return f"{self.host}:{self.port}"
 
     def connect(self) -> ArmInfo:
         """See Driver.
 
         Raises:
-            ToolkitError: nobody listens there.
+            ToolkitError: nobody listens there, or no twin does, or it serves somebody else.
         """
         limit = time.monotonic() + self.patience
-        while self._socket is None:
+        while self._line is None:
             try:
-                self._socket = socket.create_connection((self.host, self.port), timeout=PATIENCE)
+                self._line = wire.Line(socket.create_connection((self.host, self.port), timeout=PATIENCE))
+            except (socket.gaierror, UnicodeError, OverflowError) as error:  # no patience gives a name an address
+                raise ToolkitError(f"{self.where} is no address of a twin ({error}); give HOST:PORT, such as 127.0.0.1:5005") from None
             except OSError as error:
                 if time.monotonic() > limit:
                     raise ToolkitError(
-                        f"no twin answers at {self.host}:{self.port} ({error}); start one: meta-evolve twin BUNDLE --port {self.port}"
+                        f"no twin answers at {self.where} ({error}); start one: {told('twin', 'BUNDLE', '--port', self.port)}"
                     ) from None
                 time.sleep(0.1)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._asked, self._gone = 0, ""
         found = self._ask({"do": "describe"})
         try:
-            return ArmInfo(**{key: tuple(value) if isinstance(value, list) else value for key, value in found.items()})
-        except TypeError as error:
-            raise ToolkitError(f"{self.host}:{self.port} is no twin of this release ({error}); start: meta-evolve twin BUNDLE") from None
+            info = ArmInfo(**{key: tuple(value) if isinstance(value, list) else value for key, value in found.items()})
+            if not all(isinstance(name, str) for name in (info.robot, *info.joints, *info.fingers)) or not float(info.rate_hz) > 0:
+                raise TypeError("its description holds no names and rate")
+            return info
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self._odd(error) from None
 
     def begin(self, seed: int) -> None:
         """Put arm, gripper and object at the start that a seed determines."""
@@ -57,42 +69,69 @@ class SimDriver:
         """See Driver. The stamp is when the question was asked, so that the way of the answer counts as age."""
         asked = time.monotonic()
         found = self._ask({"do": "read"})
-        arrays = {key: np.array(found[key], float) for key in ("joints", "fingers", "speeds", "efforts", "object_position",
-                                                                "object_quaternion", "goal")}  # fmt: skip
-        return State(asked - float(found["age"]), opening=None, fault=found["fault"], outcome=found["outcome"], **arrays)
+        try:
+            arrays = {key: np.array(found[key], float) for key in ("joints", "fingers", "speeds", "efforts", "object_position",
+                                                                    "object_quaternion", "goal")}  # fmt: skip
+            return State(asked - float(found["age"]), opening=None, fault=str(found["fault"]), outcome=str(found["outcome"]), **arrays)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise self._odd(error) from None
 
     def send(self, command: Command) -> Command:
         """See Driver."""
-        return wire.command_from_json(self._ask({"do": "send", "command": wire.command_to_json(command)})["sent"])
+        return wire.command_from_json(self._ask({"do": "send", "command": wire.command_to_json(command)}).get("sent", {}))
 
     def stop(self, reason: str) -> None:
         """See Driver. A twin that is gone is stopped."""
         try:
             self._ask({"do": "stop", "reason": reason})
-        except (OSError, ToolkitError):
+        except ToolkitError:
             pass
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> tuple[bool, float]:
         """The twin's own account of the episode: success, and how far it ran behind the clock [s]."""
-        return self._ask({"do": "result"})
+        found = self._ask({"do": "result"})
+        try:
+            return bool(found["success"]), float(found["behind_s"])
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise self._odd(error) from None
 
     def close(self) -> None:
         """Let the twin end."""
-        if self._socket is not None:
+        if self._line is not None:
             try:
-                wire.send(self._socket, {"do": "close"})
-            except OSError:
+                self._line.post({"do": "close"})
+            except (OSError, ToolkitError):
                 pass
-            self._socket.close()
-            self._socket = None
+            self.leave()
+
+    def leave(self) -> None:
+        """Go; the twin waits for the next one."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
 
     def _ask(self, message: dict[str, Any]) -> dict[str, Any]:
-        if self._socket is None:
-            raise ToolkitError("the twin is not connected; call connect first")
-        wire.send(self._socket, message)
-        answer = wire.receive(self._socket)
-        if answer is None:
-            raise ToolkitError("the twin has gone; see what it printed")
+        """The answer to a question; they are numbered, so that a late one is never taken for another's.
+
+        Raises:
+            ToolkitError: the twin refuses, or has gone: then it is not asked again.
+        """
+        if self._line is None:
+            raise ToolkitError(self._gone or "the twin is not connected; call connect first")
+        self._asked += 1
+        try:
+            answer = wire.exchange(self._line, message | {"number": self._asked}, PATIENCE)
+            if "number" not in answer and "error" in answer:
+                raise ToolkitError(f"it sends this client away: {answer['error']}")
+            if answer.pop("number", None) != self._asked:
+                raise ToolkitError(f"an answer came to another question; {wire.FOREIGN}")
+        except (OSError, ToolkitError) as error:
+            self.leave()
+            self._gone = f"the twin at {self.where} has gone or does not answer ({error}); see what it printed"
+            raise ToolkitError(self._gone) from None
         if "error" in answer:
             raise ToolkitError(f"the twin refuses: {answer['error']}")
         return answer
+
+    def _odd(self, error: Exception) -> ToolkitError:
+        return ToolkitError(f"{self.where} is no twin of this release ({error!r}); start: meta-evolve twin BUNDLE")

@@ -90,14 +90,21 @@ class UniversalRobots:
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def read(self) -> State:
-        """See Driver. Efforts are the controller's target moments [N m]; currents are no torques."""
+        """See Driver. Efforts are the controller's target moments [N m]; currents are no torques.
+
+        Raises:
+            ToolkitError: no angles: ur_rtde gives empty lists before the first package and after a lost connection.
+        """
         receive = self._receive
+        joints, speeds, efforts = (np.array(read(), float) for read in (receive.getActualQ, receive.getActualQd, receive.getTargetMoment))
+        if len(joints) != len(self.names):
+            raise ToolkitError(f"the arm reports {len(joints)} joints, not {len(self.names)}; is it still connected?")
         fault = self._trouble or ("emergency stop" if receive.isEmergencyStopped() else "")
         fault = fault or ("protective stop" if receive.isProtectiveStopped() else "")
         position, quaternion, goal, stamp = self.scene()
         return State(
-            min(stamp, time.monotonic()), np.array(receive.getActualQ()), position, quaternion, goal, opening=self.opening(),
-            speeds=np.array(receive.getActualQd()), efforts=np.array(receive.getTargetMoment()), fault=fault,
+            min(stamp, time.monotonic()), joints, position, quaternion, goal, opening=self.opening(),
+            speeds=speeds if len(speeds) else None, efforts=efforts if len(efforts) else None, fault=fault,
         )  # fmt: skip
 
     def send(self, command: Command) -> Command:
