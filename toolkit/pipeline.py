@@ -7,13 +7,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robots.robot import Robot
 from tasks.pick import EXPLORED_DEVIATION, PickTask
 from toolkit.branch import Branch
+from toolkit.capability.audit import Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.expert import POLICY_FILE, load_expert
+from toolkit.jsonfiles import read_object
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
@@ -24,7 +28,7 @@ from toolkit.phases import Witness
 from toolkit.quoting import markdown
 from toolkit.recording.story import SHARE, Story
 from toolkit.recording.stream import Stream
-from toolkit.runs import Run
+from toolkit.runs import Run, read_audit
 from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
@@ -43,6 +47,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
 }  # fmt: skip
 """Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
+AUDITED = 5
+"""Robots per edge that are measured before a transfer begins."""
 ENOUGH = 0.8
 """Success on a target from which on a policy has learned it (the paper's 80 %)."""
 
@@ -158,6 +164,9 @@ class Pipeline:
         if resume:
             self.transfer.restore()
         self.run.write_json("tree", self.tree.to_json())
+        stalls = folder / "stalls.json"
+        self.stalls = read_object(stalls, "start the transfer again under another --run") if stalls.is_file() else {}
+        self._audit()
         records = self.run.read_metrics()
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.witness = Witness(folder, moved)
@@ -182,6 +191,25 @@ class Pipeline:
             self.watch({"event": "recorded", "cost": self.story.finish()})
             self.engine.close()
 
+    def _audit(self) -> None:
+        """What the robots along the tree can do, in short, before any policy is taken through them."""
+        if (self.run.path / "audit.json").is_file():
+            return
+        edges = run_audit(self.lab.merged, ways_of(self.tree), robots=AUDITED, episodes=0, causes=False, brief=True)
+        self.run.write_json("audit", {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]})
+        self.watch({"event": "audited", "verdict": verdict(edges)})
+
+    def _stalled(self, branch: Branch) -> None:
+        """Ask of a path whose budget is spent what changes on the robots where it stands."""
+        ahead = self.transfer.evolution_tree(branch).meta_alpha if branch.next_alpha is None else branch.next_alpha
+        if np.linalg.norm(ahead - branch.alpha) > 1e-9:
+            audit = Audit(self.lab.merged, brief=True)
+            try:
+                self.stalls[branch.path] = audit.change(Way("here", "next", branch.alpha, ahead))
+                self.run.write_json("stalls", self.stalls)
+            finally:
+                audit.close()
+
     # ---- what is seen on the way -------------------------------------------------------------------------------
 
     def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
@@ -191,6 +219,8 @@ class Pipeline:
     def _seen(self, record: dict[str, Any], branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
         self.watch(record)
+        if record["event"] == "budget" and branch.stage == "evolve" and branch.path not in self.stalls:
+            self._stalled(branch)
         if record["event"] in ("moved", "arrived"):
             start = self._stood.get(branch.path, branch.alpha)
             self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha)
@@ -235,6 +265,8 @@ class Pipeline:
             "check_episodes": {path: cost.check_episodes for path, cost in costs.items()},
             "diverged": {path: cost.diverged for path, cost in costs.items()},
             "routes": self.transfer.routes,
+            "audit": read_audit(self.run.path)["verdict"],
+            "stalls": self.stalls,
             "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
             "wall_s": self.transfer.sampler.seconds,
             "time": self.transfer.sampler.spent | {"outside_playing": outside_playing(self.transfer.sampler.spent)},
@@ -286,6 +318,8 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     totals = report["totals"]
     lines += [
         f"| total | {totals['train_iterations']} | {totals['sim_epochs']} | {totals['check_episodes']} |", "",
+        f"{report['audit'].capitalize()}.", "",
+        *(f"{path} spent its budget: {why}." for path, why in report["stalls"].items()), *([""] if report["stalls"] else []),
         f"Tree ({report['metric'].upper()}, {report['kind']}): length {tree.length:.1f}, independent paths "
         f"{tree.independent_length:.1f}, ratio {tree.ratio:.2f}{', proven shortest' if tree.optimal else ''}.",
         f"Wall time {report['wall_s'] / 60:.1f} min; of the transfer's {report['time']['wall_s'] / 60:.1f} min, "

@@ -260,6 +260,20 @@ def read_report(folder: Path) -> dict[str, Any] | None:
     return report
 
 
+def read_audit(folder: Path) -> dict[str, Any] | None:
+    """What the robots along a run's tree can do, as it was measured before the transfer; None: it was not.
+
+    Raises:
+        ToolkitError: it is damaged.
+    """
+    file, mend = folder / "audit.json", "remove the file, and finish the run again with --resume"
+    if not file.is_file():
+        return None
+    edge = {"from": str, "to": str, "robots": [{"share": float, "grip_n": float}],
+            "violations": [{"share": float, "quantity": str, "allowed": list}]}  # fmt: skip
+    return require(read_object(file, mend), {"verdict": str, "edges": [edge]}, str(file), mend)
+
+
 def read_tree(folder: Path) -> dict[str, Any]:
     """The evolution tree of a run folder.
 

@@ -192,16 +192,18 @@ class Audit:
         episodes: of the script per robot and grasp; 0: it is not tried.
         scripted: every how many of them the script is tried on.
         causes: whether to ask what causes the worst violation of every quantity.
+        brief: only what a closed gripper tells; a second per way.
         threads: workers; default: the machine's cores.
     """
 
     def __init__(
         self, merged: MergedRobot, robots: int = 17, episodes: int = 4, scripted: int = 4, causes: bool = True,
-        threads: int | None = None,
+        brief: bool = False, threads: int | None = None,
     ) -> None:  # fmt: skip
         if robots < 2 or episodes < 0 or scripted < 1:
             raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
         self.merged, self.count, self.episodes, self.scripted, self.causes = merged, robots, episodes, scripted, causes
+        self._brief = brief
         self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
         self._idle: SimpleQueue[Bench] = SimpleQueue()
         for _ in range(self._pool._max_workers):
@@ -223,7 +225,7 @@ class Audit:
         found = violations(robots)
         if self.causes:
             worst = {v.quantity: v for v in reversed(found)}
-            found = [replace(v, cause=self.cause(way, v, robots)) if worst[v.quantity] is v else v for v in found]
+            found = [replace(v, cause=self._cause_on(way, v, found, robots)) if worst[v.quantity] is v else v for v in found]
         return Edge(way, dict(sorted(robots.items())), found)
 
     def _measured(self, way: Way, shares: Sequence[float], scripted: set[float]) -> dict[float, Capability]:
@@ -233,7 +235,7 @@ class Audit:
     def _one(self, alpha: np.ndarray, episodes: int = 0) -> Capability:
         bench = self._idle.get()
         try:
-            return bench.measure(alpha, episodes)
+            return bench.measure(alpha, episodes, self._brief)
         finally:
             self._idle.put(bench)
 
@@ -260,17 +262,37 @@ class Audit:
             out |= fresh
         return out
 
+    def change(self, way: Way) -> str:
+        """In words, what changes most between the ends of a short way, and what makes it: why a policy may hold on one and not on
+        the other."""
+        first, last = self._pool.map(self._one, (way.first, way.last))
+        scale = {"grip_n": max(first.grip_n, last.grip_n, 1.0), "balance": 1.0, "height_mm": 4 * HEIGHT_MM,
+                 "opening_mm": max(first.opening_mm, last.opening_mm, 1.0)}  # fmt: skip
+        changes = {name: (getattr(last, name) - getattr(first, name)) / size for name, size in scale.items()}
+        name = max(changes, key=lambda key: abs(changes[key]))
+        length = float(np.linalg.norm(way.last - way.first))
+        before, after = getattr(first, name), getattr(last, name)
+        if abs(changes[name]) < WIDENED:
+            return f"what the robot can do hardly changes within {length:.2g} there, so it is the policy that has to"
+        limits = (before, np.inf) if after < before else (-np.inf, before)
+        cause = self.cause(way.first, way.last, Violation(1.0, name, after, limits))
+        rises = "falls" if after < before else "rises"
+        because = "" if cause is None else f"; caused by {cause}"
+        return f"{QUANTITIES[name]} {rises} from {before:.3g} to {after:.3g} within {length:.2g} there{because}"
+
     # ---- what is to blame ----------------------------------------------------------------------------------------
 
-    def cause(self, way: Way, violation: Violation, robots: dict[float, Capability]) -> str | None:
-        """The element, and its quantities, that take a robot out of the promise: each moved there by itself from a sound robot.
+    def _cause_on(self, way: Way, violation: Violation, found: list[Violation], robots: dict[float, Capability]) -> str | None:
+        """The cause, seen from the nearest robot on the way whose quantity is sound."""
+        broken = {v.share for v in found if v.quantity == violation.quantity}
+        nearest = min((share for share in robots if share not in broken), key=lambda share: abs(share - violation.share))
+        return self.cause(way.at(nearest), way.at(violation.share), violation)
 
-        The sound robot is the nearest on the way that breaks nothing. None: no single element does it.
+    def cause(self, start: np.ndarray, goal: np.ndarray, violation: Violation) -> str | None:
+        """The element, and its quantities, that take a robot out of the promise: each moved to the goal by itself from a sound start.
+
+        None: no single element does it.
         """
-        broken = {v.share for v in violations(robots) if v.quantity == violation.quantity}
-        sound = [share for share in robots if share not in broken]
-        start = way.at(min(sound, key=lambda share: abs(share - violation.share)))
-        goal = way.at(violation.share)
         space = self.merged.space
         moving = np.flatnonzero(np.abs(goal - start) > 1e-12)
         elements: dict[str, set[int]] = {}

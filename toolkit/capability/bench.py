@@ -3,7 +3,6 @@
 Everything is measured on F(alpha) in MuJoCo, arm and box clamped where it is the fingers that are asked.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,7 +50,7 @@ class Capability:
         closing_steps: policy steps, told to close at once, to half of the grip; None: it never comes.
         reach_mm: of the lowest fingertip below the grasp frame, open or closed, whichever is lower.
         clearance_mm: of that fingertip over the table in the scripted grasp.
-        tracking: share of a commanded OSC delta that the grasp frame moves, mean over three axes.
+        tracking: share of a commanded OSC delta that the grasp frame moves, mean over three axes; None: not measured.
         overshoot: largest way back after the command has ended, as a share of the way.
         script: best success rate of a few scripted grasps; None: not tried.
     """
@@ -65,8 +64,8 @@ class Capability:
     closing_steps: float | None
     reach_mm: float
     clearance_mm: float
-    tracking: float
-    overshoot: float
+    tracking: float | None = None
+    overshoot: float | None = None
     script: float | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -117,8 +116,11 @@ class Bench:
         self._of_finger = np.array([name in fingers for name in names])
         self.width = merged.task.object.width
 
-    def measure(self, alpha: np.ndarray, episodes: int = 0, widths: Sequence[float] = WIDTHS) -> Capability:
-        """Everything about F(alpha), alpha (D,); the script plays ``episodes`` per grasp, 0: it is not tried."""
+    def measure(self, alpha: np.ndarray, episodes: int = 0, brief: bool = False) -> Capability:
+        """Everything about F(alpha), alpha (D,); the script plays ``episodes`` per grasp, 0: it is not tried.
+
+        ``brief``: only what a closed gripper tells, a tenth of a second.
+        """
         plant = merged_plant(self.merged, alpha, self._model, self._data)
         plant.begin(0)
         squeezed, closed = self.squeeze(plant, self.width)
@@ -126,15 +128,15 @@ class Bench:
         script = pick_script(self.merged.task.object)
         found = Capability(
             grip_n=squeezed.total,
-            grip_by_width={width: self.squeeze(plant, width)[0].total for width in widths},
+            grip_by_width={} if brief else {width: self.squeeze(plant, width)[0].total for width in WIDTHS},
             balance=squeezed.balance,
             height_mm=1e3 * squeezed.middle[2],
             askew_nmm=1e3 * float(np.linalg.norm(squeezed.moment)),
             opening_mm=1e3 * self._opening(plant),
-            closing_steps=self._closing(plant, squeezed.total),
+            closing_steps=None if brief else self._closing(plant, squeezed.total),
             reach_mm=1e3 * reach,
             clearance_mm=1e3 * (self.merged.task.object.half_height - script.object_from_grasp[2] - reach),
-            **self._following(plant),
+            **({} if brief else self._following(plant)),
         )
         return found if episodes == 0 else replace(found, script=self.script(alpha, episodes))
 

@@ -172,6 +172,9 @@ class Progress:
                 detail = f"{record['successes']} of {record['episodes']} succeed on the unmodified robot"
                 self.show(f"direct, untrained, on {record['target']}", detail, now=True)
                 return
+            if record["event"] == "audited":
+                self.show("audit", record["verdict"].removeprefix("audit: "), now=True)
+                return
             if record["event"] == "evaluating":
                 detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
                 self.show(f"evaluating {record['target']}", detail, now=True)

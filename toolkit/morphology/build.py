@@ -62,6 +62,8 @@ LOW_AND_WIDTH = np.array([[1.0, 1.0], [0.0, 1.0]])
 """(low, width) @ this is (low, high)."""
 TOUCHES = 0.2
 """A geom collides from this presence on: a thinner sliver would prick the object rather than hold it."""
+WAKING = 0.2
+"""Presence over which, from TOUCHES on, a geom comes to count for where its finger meets an object."""
 BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
 """Radius [m] of the visual bones between joints."""
 HAND_BIT, OBJECT_BIT = 2, 1
@@ -174,6 +176,7 @@ class MergedRobot:
             shape_quat=turned(theta["shape_rotation"], self._shape_reference),
             shape_size=size,
             shape_contact=np.where(presence > TOUCHES, HAND_BIT, 0),
+            shape_activity=np.clip((presence - TOUCHES) / WAKING, 0.0, 1.0),
             shape_friction=theta["shape_friction"],
             shape_solref=theta["shape_solref"],
             shape_margin=theta["shape_margin"][:, 0],

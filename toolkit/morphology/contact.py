@@ -19,6 +19,8 @@ FROZEN = 30.0
 """Weight of the departure of a joint that the robot lacks."""
 SLIDE = 20.0
 """Radians that a metre of slide counts for."""
+BLUR = 1e-3
+"""Difference of gaps [m] within which two shapes touch together."""
 FAR = 1.0
 """Gap [m] of a finger that has nothing to touch with."""
 
@@ -77,20 +79,22 @@ def _extent(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, di
 def gap_of(
     turns: np.ndarray, shifts: np.ndarray, mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray,
     sizes: np.ndarray, boxes: np.ndarray, active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray,
-) -> tuple[float, int, np.ndarray]:  # fmt: skip
-    """Distance [m] of a finger from its face of the box, the link that is nearest (index in the chain), and where (3,).
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Distance [m] of a finger from its face of the box and where it is nearest (3,); each shape's share (n,) in both, and its place.
 
-    Beside the box, the way back to it counts as distance as well.
+    Nearly equal shapes share in proportion to exp(-gap / BLUR), so that distance and place move evenly from one to the next. Beside
+    the box, the way back to it counts as distance as well.
 
     Args:
         turns, shifts: from ``place``.
-        mine: indices of the finger's shapes; link: index in the chain of the link of each shape of all.
-        centres, frames, sizes, boxes, active: (m, ...) of all shapes at the start posture.
+        mine: (n,) indices of the finger's shapes; link: index in the chain of the link of each shape of all.
+        centres, frames, sizes, boxes: (m, ...) of all shapes at the start posture.  active: (m,) how much each touches, 0 to 1.
         push: (3,) towards the box, +-y.  origin: (3,) its centre.  half: (3,) its half extents.
     """
-    best, which, where = FAR, 0, np.zeros(3)
-    for s in mine:
-        if active[s]:
+    gaps, places, shares = np.full(len(mine), FAR), np.zeros((len(mine), 3)), np.zeros(len(mine))
+    for n in range(len(mine)):
+        s = mine[n]
+        if active[s] > 0.0:
             k = link[s]
             centre = turns[k] @ centres[s] + shifts[k]
             off = centre - origin
@@ -100,9 +104,17 @@ def gap_of(
                 direction = np.zeros(3)
                 direction[axis] = 1.0
                 gap += max(0.0, abs(off[axis]) - half[axis] - _extent(turns[k], frames[s], sizes[s], boxes[s], direction))
-            if gap < best:
-                best, which, where = gap, k, centre + reach * push
-    return best, which, where
+            gaps[n], places[n] = gap, centre + reach * push
+    least, distance, where = gaps.min() if len(mine) else FAR, FAR, np.zeros(3)
+    if least < FAR:
+        total = 0.0
+        for n in range(len(mine)):
+            shares[n] = active[mine[n]] * np.exp((least - gaps[n]) / BLUR)
+            total += shares[n]
+        shares /= total
+        distance = shares @ gaps
+        where = shares @ places
+    return distance, where, shares, places
 
 
 @numba.njit(cache=True, nogil=True)
@@ -154,7 +166,7 @@ def meet(
     mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
     active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
     pitching: np.ndarray, gap: float, height: float, minding: float,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """One finger near a guess: its gap and the height of its nearest point as asked, its pad pitched as guessed.
 
     Args:
@@ -164,7 +176,7 @@ def meet(
         others: as for ``place`` and ``gap_of``.
 
     Returns:
-        angles (n,) of its joints; where it is nearest (3,), on its last link, at the start posture.
+        angles (n,) of its joints; where it is nearest (3,), on its last link, at the start posture; how much it touches, 0 to 1.
     """
     count = len(chain)
     angles, change = guess.copy(), np.zeros(count)
@@ -175,22 +187,26 @@ def meet(
         if sliding[chain[k]]:
             scale[k] = SLIDE
     up = np.array([0.0, 0.0, 1.0])
+    touches = 0.0  # a finger whose last shape vanishes has less and less to meet the box with
+    for s in mine:
+        touches = max(touches, active[s])
     for _ in range(ROUNDS):
         turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
-        miss, touching, where = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
+        miss, where, shares, places = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
         lower[:], upper[:] = 0.0, 0.0
         for k in range(count):
             slide = sliding[chain[k]]
-            if k <= touching and miss < FAR:
-                along = now[k] if slide else np.cross(now[k], where - at[k])
-                lower[0, k] = -GAP * (along @ push) / scale[k]
-                lower[1, k] = minding * HEIGHT * (along @ up) / scale[k]
+            for n in range(len(mine)):
+                if shares[n] > 1e-6 and k <= link[mine[n]]:
+                    along = now[k] if slide else np.cross(now[k], places[n] - at[k])
+                    lower[0, k] -= touches * GAP * shares[n] * (along @ push) / scale[k]
+                    lower[1, k] += touches * minding * HEIGHT * shares[n] * (along @ up) / scale[k]
             lower[2, k] = PITCH * (now[k] @ sideways) if pitching[chain[k]] else 0.0
             lower[3 + k, k] = weight[k]
             upper[2] += lower[2, k] * change[k]
             upper[3 + k] = weight[k] * change[k]
         if miss < FAR:
-            upper[0], upper[1] = GAP * (miss - gap), minding * HEIGHT * (where[2] - height)
+            upper[0], upper[1] = touches * GAP * (miss - gap), touches * minding * HEIGHT * (where[2] - height)
         step = np.linalg.solve(lower.T @ lower, -(lower.T @ upper))
         largest = 0.0
         for k in range(count):
@@ -200,5 +216,5 @@ def meet(
         if largest < ENOUGH:
             break
     turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
-    miss, touching, where = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
-    return angles[chain], turns[count - 1].T @ (where - shifts[count - 1])
+    _, where, _, _ = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
+    return angles[chain], turns[count - 1].T @ (where - shifts[count - 1]), touches

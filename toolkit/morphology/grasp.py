@@ -159,12 +159,12 @@ class GraspLaw:
         self._boxes = np.array([shapes[k].kind == mujoco.mjtGeom.mjGEOM_BOX for k in carrying])
 
     def _solids(self, p: Patch) -> tuple[np.ndarray, ...]:
-        """Centres, axes, sizes, kinds and whether they touch of the fingers' geoms at the start posture."""
+        """Centres, axes, sizes, kinds and how much they touch of the fingers' geoms at the start posture."""
         centres = p.shape_pos[self._carrying] + p.anchor[self._carrier]
         frames = np.empty((len(self._carrying), 9))
         for row, quat in zip(frames, p.shape_quat[self._carrying], strict=True):
             mujoco.mju_quat2Mat(row, quat)
-        return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_contact[self._carrying] > 0
+        return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_activity[self._carrying]
 
     def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (n_fingers,) [m] of the fingers from the box, and where they are nearest (n_fingers, 3), on their last links."""
@@ -172,7 +172,7 @@ class GraspLaw:
         solids = self._solids(p)
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
-            gaps[f], _, where = gap_of(
+            gaps[f], where, _, _ = gap_of(
                 turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)  # fmt: skip
             points[f] = turns[-1].T @ (where - shifts[-1])
         return gaps, points
@@ -187,19 +187,19 @@ class GraspLaw:
 
     def _meeting(
         self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, and as high, as asked; and where
-        they are nearest (n_fingers, 3), on their last links."""
-        out, points, solids = angles.copy(), p.anchor[self._tips], self._solids(p)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, and as high, as asked; where they
+        are nearest (n_fingers, 3), on their last links; and how much of each finger is there to touch (n_fingers,), 0 to 1."""
+        out, points, solids, touches = angles.copy(), p.anchor[self._tips], self._solids(p), np.zeros(len(self.fingers))
         free = 1.0 - p.freeze[self.driven]
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
-            out[chain], points[f] = meet(
+            out[chain], points[f], touches[f] = meet(
                 angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
                 *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, gap[f], height[f], minding[f],
             )  # fmt: skip
-        return out, points
+        return out, points, touches
 
     # ---- the robots' own grasps --------------------------------------------------------------------------------
 
@@ -354,8 +354,8 @@ class GraspLaw:
         angles, force, gap, height, off, error, beyond, slack, both, most = (value[cut] for cut in self._cuts.values())
         gap = gap - np.maximum(gap, 0.0) * np.clip(force / PRESSING, 0.0, 1.0)
         minding = np.clip(force / PRESSING, 0.0, 1.0)
-        angles, nearest = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding)
-        torque = self._needed(model, data, p, angles, force, nearest + off.reshape(-1, 3)) + error
+        angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding)
+        torque = self._needed(model, data, p, angles, touches * force, nearest + off.reshape(-1, 3)) + error
         torque = np.clip(torque, -self._strongest, self._strongest)
         apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)

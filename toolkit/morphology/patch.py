@@ -36,6 +36,7 @@ class Patch:
     shape_quat: np.ndarray
     shape_size: np.ndarray
     shape_contact: np.ndarray
+    shape_activity: np.ndarray
     shape_friction: np.ndarray
     shape_solref: np.ndarray
     shape_margin: np.ndarray

@@ -17,7 +17,7 @@ from toolkit.phases import Phase, load_phases
 from toolkit.plan import Plan
 from toolkit.report import figures
 from toolkit.report.stills import Studio
-from toolkit.runs import Run, read_report, transfer_records
+from toolkit.runs import Run, read_audit, read_report, transfer_records
 
 STILLS = 8
 """Along each path."""
@@ -139,6 +139,12 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
     parts += ["<h2>Learning</h2>", _figure(pictures, "curves", legend), _paths(records), _trouble(phases)]
     parts += ["<h2>Robots on their way</h2>"]
+    audit = read_audit(run.path)
+    if audit is not None:
+        legend = ("What the robots of every edge can do, without any policy: dots are its ends, crosses robots that are worse than the "
+                  "ends allow; what they allow is grey.")  # fmt: skip
+        parts += [f"<p>{html.escape(audit['verdict'])}</p>", _figure(pictures, "audit", legend)]
+    parts += [f'<p class="note">{html.escape(f"{path}: {why}")}</p>' for path, why in ((report or {}).get("stalls") or {}).items()]
     parts += [f'<p class="note">{html.escape(why)}</p>' for why in missing]
     parts += [_figure(pictures, name, "") for name in pictures if name.startswith("morph-")]
     parts += ["<h2>Parameters</h2>", _figure(pictures, "parameters", "alpha of every robot: white 0, black 1; rows are joints and shapes.")]
