@@ -17,8 +17,8 @@ from toolkit.cli.names import TARGETS, TASK
 from toolkit.runs import Run
 
 COMMANDS = (
-    "robots", "match", "tree", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "deploy", "twin",
-    "doctor", "recordings", "bench",
+    "robots", "match", "tree", "audit", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "deploy",
+    "twin", "doctor", "recordings", "bench",
 )  # fmt: skip
 POINTS = {
     "source": {"name": "hand", "alpha": [0.0, 0.0, 0.0]},
@@ -429,6 +429,21 @@ def test_the_tree_of_the_robots(capsys, monkeypatch, space):
     assert lengths == sorted(lengths) and {cost["arm"] for cost in found["arms"]} == {"Kinova3", "Jaco", "IIWA"}
     assert [cost["targets"] for cost in found["growth"]] == [list(TARGETS[:1]), list(TARGETS[:2]), list(TARGETS)]
     assert found["growth"][-1]["length"] == found["length"]
+
+
+def test_the_audit_of_the_robots(capsys, lab, tmp_path):
+    """Two robots per edge are its ends, and the refined ones; test_capability.py holds what they must be able to do."""
+    names = lab.space.matching.names
+    found = answer(capsys, "audit", "--targets", *names[1:], "--kind", "independent", "--robots", "2", "--episodes", "0", "--no-causes",
+                   "--plot", tmp_path / "audit.svg")  # fmt: skip
+    assert [(edge["from"], edge["to"]) for edge in found["edges"]] == [(names[0], name) for name in names[1:]]
+    for edge in found["edges"]:
+        shares = [robot["share"] for robot in edge["robots"]]
+        assert shares == sorted(shares) and (shares[0], shares[-1]) == (0.0, 1.0) and len(shares) > 3
+        assert {"share", "grip_n", "balance", "height_mm", "opening_mm", "closing_steps", "script"} <= set(edge["robots"][0])
+        assert all(set(violation) == {"share", "quantity", "value", "allowed", "cause"} for violation in edge["violations"])
+    assert (tmp_path / "audit.svg").read_text().count("adroit") >= len(names) - 1
+    assert "2 robots per edge or more" in refusal(capsys, "audit", "--targets", *names[1:], "--robots", "1")
 
 
 def test_the_match_of_the_robots(capsys, lab):

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from scipy.stats import spearmanr
 
+from toolkit.capability.bench import Bench
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.build import MergedRobot
@@ -55,6 +56,29 @@ def _course(
     first = plant.begin(SENSITIVITY_SEEDS + seed)
     played = play_on(plant, lambda o, rng: policy.mean(o), np.random.default_rng(0), first, STEPS, Tape())
     return np.nan_to_num(np.array([*played.observations, played.observation]))
+
+
+def capability_weights(merged: MergedRobot, alphas: Sequence[np.ndarray], progress: Callable[[int, int], None]) -> np.ndarray:
+    """For each dimension (D,), how much of what a robot can do it changes per alpha, mean over the robots ``alphas``; no policy is asked.
+
+    A change of 10 N of grip, of half of its balance, of 10 mm of its height or of 30 mm of opening count as one.
+    """
+    bench = Bench(merged)
+    scale = {"grip_n": 10.0, "balance": 0.5, "height_mm": 10.0, "opening_mm": 30.0}
+
+    def able(alpha: np.ndarray) -> np.ndarray:
+        found = bench.measure(alpha, brief=True)
+        return np.array([getattr(found, name) / size for name, size in scale.items()])
+
+    weights, total = np.zeros(merged.space.size), len(alphas) * merged.space.size
+    for i, alpha in enumerate(alphas):
+        here = able(alpha)
+        for d in range(alpha.size):
+            moved = alpha.copy()
+            moved[d] += REACH if alpha[d] <= 0.5 else -REACH
+            weights[d] += float(np.linalg.norm(able(moved) - here)) / REACH / len(alphas)
+            progress(i * alpha.size + d + 1, total)
+    return weights
 
 
 def weighted(terminals: Sequence[Terminal], weights: np.ndarray) -> list[Terminal]:
@@ -134,15 +158,19 @@ def compare_metrics(
     engine: RolloutEngine, policy: GaussianPolicy, source: Terminal, targets: Sequence[Terminal], robots: int, episodes: int,
     seed: int, progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Comparison:  # fmt: skip
-    """Measure weights at the source, judge the expert on random robots, and compare plain with weighted L1."""
+    """Measure weights, by rollouts at the source and by capability at every robot, judge the expert on random robots, and compare."""
     weights = np.empty(source.alpha.size)
     for d, weight in enumerate(sensitivities(engine.merged, policy, source.alpha)):
         weights[d] = weight
         progress(d + 1, weights.size)
     weights /= weights.mean()
+    able = capability_weights(engine.merged, [source.alpha, *(target.alpha for target in targets)], progress)
+    able = 0.5 + 0.5 * able / able.mean()  # the arm counts too, though no finger feels it
     judged = judge(engine, policy, source, targets, robots, episodes, seed)
     results = []
-    for name, scale in (("L1", np.ones_like(weights)), ("weighted L1", weights), ("L1, root of weights", np.sqrt(weights))):
+    for name, scale in (
+        ("L1", np.ones_like(weights)), ("weighted L1", weights), ("L1, root of weights", np.sqrt(weights)), ("L1 by capability", able),
+    ):  # fmt: skip
         start, *goals = weighted([source, *targets], scale)
         tree = evolution_tree(start, goals)
         first = tree.next_meta().meta_alpha / np.maximum(scale / scale.mean(), 1e-12)

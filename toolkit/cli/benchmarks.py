@@ -330,6 +330,7 @@ def bench_metric(
     task: str = TASK,
     robots: int = 40,
     episodes: int = 3,
+    expert: str | None = None,
     seed: int = 0,
     json: bool = False,
 ) -> None:
@@ -341,6 +342,7 @@ def bench_metric(
         task: what the expert does.
         robots: random robots between source and targets on which the untrained expert is judged.
         episodes: per robot.
+        expert: another policy of the source, as in transfer.
         seed: of the robots.
         json: print one JSON object.
     """
@@ -351,7 +353,7 @@ def bench_metric(
     from toolkit.sensitivity import compare_metrics
     from toolkit.simulation.rollout import RolloutEngine
 
-    policy, _ = load_expert(source, task)
+    policy, _ = load_expert(source, task, expert)
     with Progress("metric", quiet=json) as progress:
         measured = lambda done, total: progress.show("weights", f"{done} of {total} parameters", done, total)  # noqa: E731
         found = compare_metrics(RolloutEngine(lab.merged), policy, *lab.terminals(), robots, episodes, seed, measured)
