@@ -41,7 +41,8 @@ def _panel(axes: Any, edge: dict[str, Any], quantity: str) -> None:
     if broken:
         low, high = (limit if limit is not None else default for limit, default in zip(broken[0]["allowed"], (-1e9, 1e9), strict=True))
         values = [value for _, value in robots]
-        axes.axhspan(max(low, min(values) - 1.0), min(high, max(values) + 1.0), color=BAND, zorder=0, linewidth=0)
+        beyond = 0.1 * (max(values) - min(values))  # a limit that is open, or far away, ends at the panel's
+        axes.axhspan(max(low, min(values) - beyond), min(high, max(values) + beyond), color=BAND, zorder=0, linewidth=0)
     if robots:
         shares, values = np.array(robots, float).T
         axes.plot(shares, values, "-", color=LINE, linewidth=1.0, zorder=1)
