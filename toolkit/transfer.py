@@ -365,8 +365,9 @@ class Transfer:
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
 
-        After the search the weights have their turn, then a nearer robot is tried; at the nearest, and at a target, the search goes on. A
-        target where neither brought anything is left with the best, if that would do on the way.
+        After the search the weights have their turn, if the best succeeds often enough to learn from, and then a nearer robot is tried; at
+        the nearest, and at a target, weights and search go on in turns. A target where neither brought anything is left with the best, if
+        that would do on the way.
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
@@ -377,7 +378,7 @@ class Transfer:
         self.return_to_best(branch)
         branch.idle = 0
         branch.turns += 1
-        if branch.turns >= 2 and self.can_halve(branch):
+        if self.can_halve(branch) and (branch.turns >= 2 or branch.best_success < self.config.noisy_threshold):
             return "stalled"
         if branch.turn == "offset":
             branch.turn = "weights"
