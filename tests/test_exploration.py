@@ -124,7 +124,7 @@ def test_an_offset_is_what_the_policy_sees(tmp_path):
 
 
 @pytest.mark.parametrize("field, value", [("batch_size", 7), ("batch_size", 2), ("prior", -1.0), ("reuse", 15), ("deviation_rate", 1.5),
-                                          ("narrowest", 0.0), ("widest", 0.5)])  # fmt: skip
+                                          ("narrowest", 0.0), ("polish", 0.0), ("widest", 0.5)])  # fmt: skip
 def test_settings_are_checked(field, value):
     with pytest.raises(ToolkitError, match=rf"SearchConfig\.{field} is {value}"):
         SearchConfig(**{field: value})

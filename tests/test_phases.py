@@ -7,6 +7,7 @@ from toolkit.errors import ToolkitError
 from toolkit.expert import load_expert
 from toolkit.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import shifted
 from toolkit.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
 from toolkit.simulation.plant import merged_plant
 from toolkit.simulation.rollout import play
@@ -70,6 +71,19 @@ def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
     saw(again, policy, batches[1], 1)
     phases = [load_phases(tmp_path / run)["path-1-000-evolve"] for run in "ab"]
     assert len({tuple(phase.take(role).seed for role in ROLES) for phase in phases}) == 1
+
+
+def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, policy):
+    """A search plays one start with two policies; seen again after a kill, both are the episodes that they were."""
+    offset = np.full(38, 0.01)
+    pair = [shifted(policy, offset), shifted(policy, -offset)]
+    for witness in (Witness(tmp_path), Witness(tmp_path)):
+        witness.saw("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
+    (phase,) = load_phases(tmp_path).values()
+    assert len(phase.takes) == len(phase.policies) == 2
+    for take, played in zip((phase.take("best"), phase.take("failure")), pair, strict=True):
+        assert take.seed == 7
+        np.testing.assert_array_equal(phase.play_as(take, policy).layers().shift, played.layers().shift)
 
 
 def test_phases_count_on_where_each_path_was(tmp_path, policy):

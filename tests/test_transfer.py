@@ -858,6 +858,17 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     assert transfer.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 
 
+@pytest.mark.parametrize("best, turn", [(0.4, None), (0.6, "weights")])
+def test_the_weights_have_a_turn_before_a_nearer_robot_where_they_can_learn(tmp_path, best, turn):
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=1), Toy())
+    (branch,) = transfer.pending
+    branch.begin_phase(np.full(3, 0.3))
+    transfer.keep_best(branch, best)
+    assert transfer.keep_best(branch, 0.1) == ("stalled" if turn is None else "training")
+    assert turn is None or branch.turn == turn
+    assert transfer.keep_best(branch, 0.1) == "stalled", "after both turns a nearer robot is tried"
+
+
 def test_a_spent_budget_leaves_the_best_policy(tmp_path):
     """What arrives is what was measured best on its target, not what came last."""
     measured = []

@@ -107,8 +107,8 @@ class OffsetLearner:
         self.config, self.sampler, self.deviation = config, sampler, deviation
         self._entries = np.flatnonzero(deviation)
 
-    def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> bool:
-        """One update on the robot ``alpha`` (D,).
+    def improve(self, branch: Branch, player: Player, alpha: np.ndarray, holds: bool = False) -> bool:
+        """One update on the robot ``alpha`` (D,); where the policy ``holds`` already, a phase begins with deviations for polishing.
 
         Mirrored offsets of a pair play the same start, so that a pair's difference is the offset's. The first batch of a phase ends after
         its first episodes if none succeeds.
@@ -119,7 +119,7 @@ class OffsetLearner:
         settings, sampler, cost = self.config.search, self.sampler, self.sampler.costs[branch.path]
         before = sampler.spent["play_s"]
         if branch.deviation is None:
-            branch.deviation = self.deviation.copy()
+            branch.deviation = self.deviation * (settings.polish if holds else 1.0)
         z = mirrored(settings.batch_size // 2, len(self._entries), sampler.rng)
         offsets = np.zeros((len(z), len(self.deviation)))
         offsets[:, self._entries] = z * branch.deviation[self._entries]

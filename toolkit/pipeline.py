@@ -151,11 +151,12 @@ class Pipeline:
     ) -> None:
         policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
-        self.job, self.watch, self.expert = job, watch, policy.copy()
+        self.job, self.watch = job, watch
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
         self.engine = RolloutEngine(self.lab.merged, dump=dump)
+        self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
@@ -177,12 +178,11 @@ class Pipeline:
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
         try:
-            untrained = self._untrained()
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():
                 policy.save(self.run.path / f"{name}{POLICY_FILE}")
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
-            report = self._report(untrained, evaluations)
+            report = self._report(evaluations)
             self.run.write_json("report", report)
             self.run.write_summary(summary(report, self.tree))
             self.story.summary(summary(report, self.tree))
@@ -233,14 +233,14 @@ class Pipeline:
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 
-    def _untrained(self) -> dict[str, Any]:
+    def _untrained(self, expert: GaussianPolicy) -> dict[str, Any]:
         """The expert on every unmodified target before any training: whether evolution is needed at all. A resumed run reads it."""
         file = self.run.path / "untrained.json"
         if file.is_file():
             return json.loads(file.read_text(encoding="utf-8"))
         episodes, found = self.job.evaluation_episodes, {}
         for robot in self.job.targets:
-            found[robot.name] = evaluate_compiled(self.expert, robot, self.job.task, episodes).to_json()
+            found[robot.name] = evaluate_compiled(expert, robot, self.job.task, episodes).to_json()
             self.watch({"event": "untrained", **found[robot.name]})
         self.run.write_json("untrained", found)
         return found
@@ -254,11 +254,11 @@ class Pipeline:
             "native": evaluate_native(policy, robot, self.job.task, episodes),
         }
 
-    def _report(self, untrained: dict[str, Any], evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
+    def _report(self, evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
         costs = self.transfer.costs
         total = lambda key: sum(getattr(cost, key) for cost in costs.values())  # noqa: E731
         return {
-            "untrained": untrained,
+            "untrained": self.untrained,
             "targets": {name: {env: e.to_json() for env, e in both.items()} for name, both in evaluations.items()},
             "train_iterations": {path: cost.train_iterations for path, cost in costs.items()},
             "sim_epochs": {path: cost.sim_epochs for path, cost in costs.items()},

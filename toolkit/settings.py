@@ -57,7 +57,8 @@ class TransferConfig:
     threshold: float = 2 / 3
     """Success rate of the mean action for moving on (paper: 66.7 %)."""
     noisy_threshold: float = 1 / 2
-    """NPG: success rate under the noise of training for moving on: what trains next learns from such successes."""
+    """NPG: success rate under the noise of training for moving on: what trains next learns from such successes. Search: measured success
+    from which the weights have their turn on a robot before a nearer one is tried."""
     signal: float = 1 / 8
     """NPG: success rate under the noise of training from which there is enough to learn from; adaptive: where training begins. The
     window's other robots are nearer, and succeed more often."""

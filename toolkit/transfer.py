@@ -359,18 +359,16 @@ class Transfer:
             self.weights.improve(branch, player, alpha)
             return "training"
         first = branch.updates == 0
-        learned = self.offsets.improve(branch, player, alpha)
+        learned = self.offsets.improve(branch, player, alpha, branch.best_success >= self.config.threshold)
         return "stalled" if first and not learned and self.can_halve(branch) else "training"
 
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
 
-        After the search the weights have their turn, then a nearer robot is tried; at the nearest, and at a target, the search goes on. On
-        a target that holds at once the weights begin. A target where neither brought anything is left with the best, if that would do on
-        the way.
+        After the search the weights have their turn, if the best succeeds often enough to learn from, and then a nearer robot is tried; at
+        the nearest, and at a target, weights and search go on in turns. A target where neither brought anything is left with the best, if
+        that would do on the way.
         """
-        if branch.best is None and branch.next_alpha is None and success >= self.config.threshold:
-            branch.turn = "weights"  # what a target that holds still lacks is many small things, not one place to grasp
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
         if better or success == branch.best_success:  # of equals the later one: it has learned from more
@@ -380,7 +378,7 @@ class Transfer:
         self.return_to_best(branch)
         branch.idle = 0
         branch.turns += 1
-        if branch.turns >= 2 and self.can_halve(branch):
+        if self.can_halve(branch) and (branch.turns >= 2 or branch.best_success < self.config.noisy_threshold):
             return "stalled"
         if branch.turn == "offset":
             branch.turn = "weights"

@@ -37,7 +37,9 @@ class SearchConfig:
     deviation_rate: float = 0.5
     """How fast deviations follow: factor on the natural gradient of their logarithm (Wierstra et al.: (3 + log d) / (5 sqrt d),
     0.47 in three dimensions)."""
-    narrowest: float = 1 / 4
+    polish: float = 0.3
+    """Deviation with which the search begins where the policy holds already and is to hold more often, of the one the task declares."""
+    narrowest: float = 1 / 8
     """Least deviation, of the one the task declares."""
     widest: float = 2.0
     """Greatest deviation, of the one the task declares."""
@@ -50,6 +52,7 @@ class SearchConfig:
             ("reuse", self.reuse >= self.batch_size, f"at least a batch, {self.batch_size}"),
             ("deviation_rate", 0 <= self.deviation_rate <= 1, "a number in [0, 1]"),
             ("narrowest", 0 < self.narrowest <= 1, "a number in (0, 1]"),
+            ("polish", 0 < self.polish <= 1, "a number in (0, 1]"),
             ("widest", 1 <= self.widest < math.inf, "a number from 1 on"),
         ):
             if not valid:
