@@ -121,6 +121,55 @@ class Lab:
         return evolution_tree(source, targets, metric, kind)
 
 
+class _Told:
+    """The recording of a run, and what it keeps to be seen: whatever becomes of them, the run goes on, and says so at its end.
+
+    Args:
+        folder: the run folder.
+        begin: makes the story.
+
+    Attributes:
+        trouble: the first thing that went wrong, in a sentence; empty if nothing did.
+    """
+
+    def __init__(self, folder: Path, begin: Callable[[], Story]) -> None:
+        self.folder, self.trouble = folder, ""
+        self._story = self._told(begin)
+
+    def tell(self, record: dict[str, Any]) -> None:
+        """See Story."""
+        if self._story is not None:
+            self._told(lambda: self._story.tell(record))
+
+    def summary(self, text: str) -> None:
+        """See Story."""
+        if self._story is not None:
+            self._told(lambda: self._story.summary(text))
+
+    def aside(self, act: Callable[[], Any]) -> None:
+        """Do what only helps to see the run."""
+        self._told(act, ends=False)
+
+    def note(self, trouble: str) -> None:
+        """Trouble that somebody else had with what only helps to see the run."""
+        self.trouble = self.trouble or trouble
+
+    def finish(self) -> str:
+        """Close the recording; what it cost, or what went wrong with it."""
+        story, self._story = self._story, None
+        cost = None if story is None else self._told(story.finish)
+        return str(cost) if not self.trouble else f"the run is not fully recorded: {self.trouble}"
+
+    def _told(self, act: Callable[[], Any], ends: bool = True) -> Any:
+        try:
+            return act()
+        except (ToolkitError, OSError, RuntimeError, ValueError, MemoryError) as error:
+            self.trouble = self.trouble or " ".join(str(error).split()) or type(error).__name__
+            if ends:
+                self._story = None
+            return None
+
+
 class Pipeline:
     """One run of a job: trains, evaluates, records; can be killed at any moment and resumed.
 
@@ -152,8 +201,9 @@ class Pipeline:
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.witness = Witness(folder, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
-        stream = Stream(folder / "recording.rrd")
-        self.story = Story(stream, folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, SHARE, records)
+        tree = self.tree.to_json()
+        self.story = _Told(folder, lambda: Story(
+            Stream(folder / "recording.rrd"), folder, self.lab.merged, tree, policy.copy(), self._plant, SHARE, records))  # fmt: skip
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
@@ -164,25 +214,28 @@ class Pipeline:
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
             report = self._report(evaluations)
             self.run.write_json("report", report)
-            self.run.write_summary(summary(report, self.tree))
+            self.story.aside(lambda: self.run.write_summary(summary(report, self.tree)))
             self.story.summary(summary(report, self.tree))
             return report
         finally:
-            self.watch({"event": "recorded", "cost": self.story.finish()})
             self.engine.close()
+            self.story.note(self.engine.trouble)
+            cost = self.story.finish()
+            self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.story.trouble)})
 
     # ---- what is seen on the way -------------------------------------------------------------------------------
 
     def _saw(self, branch: Branch, episodes: list[Episode], noise: bool) -> None:
         """Remember the episodes worth seeing."""
-        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, branch.policy, episodes, noise, branch.updates)
+        self.story.aside(lambda: self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, branch.policy, episodes, noise,
+                                                  branch.updates))  # fmt: skip
 
     def _seen(self, record: dict[str, Any], branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
         self.watch(record)
         if record["event"] in ("moved", "arrived"):
             start = self._stood.get(branch.path, branch.alpha)
-            self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha)
+            self.story.aside(lambda: self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha))
         self._stood[branch.path] = branch.alpha
         self.story.tell(record)
 

@@ -80,14 +80,21 @@ def expert(
     command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--demonstrations", demonstrations,
                    "--seed", seed)  # fmt: skip
     card |= {"command": command} | {key: result.to_json() for key, result in results.items()}
-    save_expert(policy, value, out or SHIPPED, f"{source}-{task}{'' if demos is None else RECORDED}", card)
     kept.write_json("report", card)
     lines = []
     for key, result in results.items():
         low, high = result.ci95
         name = task if key == "evaluation" else narrow_task(what).name
         lines.append(f"{source}, {name}: {result.successes} of {episodes} on the source robot ({low:.2f} to {high:.2f})")
-    emit(card, json, "\n".join([*lines, f"Saved in {out or SHIPPED}; run folder: {folder}"]))
+    name = f"{source}-{task}{'' if demos is None else RECORDED}"
+    try:
+        save_expert(policy, value, out or SHIPPED, name, card)
+        lines.append(f"Saved in {out or SHIPPED}; run folder: {folder}")
+    except (OSError, ToolkitError) as error:  # hours of training are not lost with it: --resume with another --out saves them
+        emit(card, json, "\n".join([*lines, f"Run folder: {folder}"]))
+        raise ToolkitError(f"the expert is trained, but {name} cannot be saved in {out or SHIPPED} ({error}); give another --out, with "
+                           "--resume") from None  # fmt: skip
+    emit(card, json, "\n".join(lines))
 
 
 def transfer(
