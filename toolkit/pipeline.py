@@ -14,7 +14,7 @@ from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_t
 from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
@@ -186,6 +186,15 @@ class Pipeline:
         policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch = job, watch
+        try:
+            self._prepare(folder, resume, policy, value)
+        except Exception:
+            self.run.end(failed=True)
+            raise
+
+    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction) -> None:
+        """Measure and merge the robots, and take up what an earlier sitting has left."""
+        job = self.job
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
@@ -195,7 +204,12 @@ class Pipeline:
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw)
         if resume:
-            self.transfer.restore()
+            try:
+                self.transfer.restore()
+            except (LookupError, TypeError, ValueError, AttributeError) as error:
+                raise ToolkitError(
+                    f"the checkpoint in {folder} is damaged, or of another version ({error!r}); start a new run under another --run"
+                ) from None
         self.run.write_json("tree", self.tree.to_json())
         records = self.run.read_metrics()
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
@@ -207,6 +221,10 @@ class Pipeline:
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
+        with self.run.at_work():
+            return self._play()
+
+    def _play(self) -> dict[str, Any]:
         try:
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():

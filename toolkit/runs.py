@@ -14,8 +14,10 @@ import math
 import os
 import platform
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ import numpy as np
 from safetensors.numpy import save as safetensors_bytes
 
 from toolkit import __version__
+from toolkit.claims import LOCK, claim, give_up
 from toolkit.errors import ToolkitError
 from toolkit.jsonfiles import content_of, parsed, parsed_object, read_object, require
 from toolkit.tensors import read_tensors
@@ -31,6 +34,8 @@ from toolkit.tensors import read_tensors
 RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
 BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
 ABSENT = "(absent)"
+CLAIMED = "wait until it has ended, or end it"
+"""The mend where another process works on a run."""
 
 
 class Run:
@@ -44,6 +49,7 @@ class Run:
     def __init__(self, path: Path, config: dict[str, Any]) -> None:
         self.path = path
         self.config = config
+        self._made: Path | None = None  # the first folder that did not exist before, of a run that was started here
 
     @classmethod
     def create(cls, path: Path | str, config: dict[str, Any]) -> "Run":
@@ -54,13 +60,18 @@ class Run:
             config: all that determines the run; JSON values, NumPy scalars and arrays, paths.
 
         Raises:
-            ToolkitError: the folder holds files already, or cannot be written, or config is not JSON.
+            ToolkitError: the folder holds files already, another process works there, it cannot be written, or config is not JSON.
         """
         path = Path(path)
+        made = next((parent for parent in [*reversed(path.parents), path] if not parent.exists()), None)
+        run = cls(path, _plain(config))
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if any(path.iterdir()):
+            claim(path, CLAIMED)
+            if any(file.name != LOCK for file in path.iterdir()):
+                give_up(path)
                 raise ToolkitError(f"run folder {path} exists; add --resume to continue it, or choose another --run")
+            run._made = made or path
             (path / "checkpoints").mkdir()
             write_atomically(path / "config.json", _json_bytes(config, "config"))
             write_atomically(path / "versions.json", _json_bytes(recorded_versions(), "versions"))
@@ -68,8 +79,12 @@ class Run:
         except (FileExistsError, NotADirectoryError):
             raise ToolkitError(f"run folder {path} is a file or lies below one; choose another --run") from None
         except OSError as error:
+            run.end(failed=True)
             raise _unwritable(path, error) from None
-        return cls(path, _plain(config))
+        except ToolkitError:
+            run.end(failed=True)
+            raise
+        return run
 
     @classmethod
     def open(cls, path: Path | str, config: dict[str, Any] | None = None) -> "Run":
@@ -81,7 +96,7 @@ class Run:
                 from the file.
 
         Raises:
-            ToolkitError: no such run, a broken config.json or metrics.jsonl, another config, or not writable.
+            ToolkitError: no such run, a broken config.json or metrics.jsonl, another config, not writable, or another process works on it.
         """
         path = Path(path)
         if not path.is_dir():
@@ -94,8 +109,34 @@ class Run:
                 )
         run = cls(path, stored)
         if config is not None:
+            try:
+                claim(path, CLAIMED)
+            except OSError as error:
+                raise _unwritable(path, error) from None
             run._write_metrics(run.read_metrics())
         return run
+
+    def end(self, failed: bool = False) -> None:
+        """Let others write into the run. A start that failed before its first checkpoint leaves no folder that is then in the way."""
+        if failed and self._made is not None and not self.checkpoints():
+            give_up(self.path)
+            shutil.rmtree(self.path, ignore_errors=True)
+            for parent in self.path.parents:
+                if not parent.is_relative_to(self._made) or any(parent.iterdir()):
+                    break
+                parent.rmdir()
+        give_up(self.path)
+
+    @contextmanager
+    def at_work(self) -> "Iterator[Run]":
+        """While this process works on the run, which then ends; with an error, as one that failed. Ctrl-C leaves it to --resume."""
+        try:
+            yield self
+        except Exception:
+            self.end(failed=True)
+            raise
+        finally:
+            self.end()
 
     def commit(self) -> str:
         """Commit of the toolkit that started it; "unknown" where that was no checkout."""
@@ -312,12 +353,16 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         OSError: the folder cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # of this process's own, whoever else writes
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
     if os.name == "posix":  # the rename itself is durable only once the folder is synced; Windows cannot open folders
         folder = os.open(path.parent, os.O_RDONLY)
         try:

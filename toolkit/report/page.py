@@ -17,7 +17,7 @@ from toolkit.phases import Phase, load_phases
 from toolkit.plan import Plan
 from toolkit.report import figures
 from toolkit.report.stills import Studio
-from toolkit.runs import Run, read_report, transfer_records
+from toolkit.runs import Run, read_report, transfer_records, write_atomically
 
 STILLS = 8
 """Along each path."""
@@ -81,8 +81,8 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, data in pictures.items():
-            (out / f"{name}.png").write_bytes(data)
-        (out / "index.html").write_text(page, encoding="utf-8")
+            write_atomically(out / f"{name}.png", data)
+        write_atomically(out / "index.html", page.encode())
     except OSError as error:
         raise ToolkitError(f"report {out} cannot be written ({error.strerror}); choose another --out") from None
     return out / "index.html"
