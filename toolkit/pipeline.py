@@ -20,7 +20,7 @@ from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.phases import Witness
 from toolkit.quoting import markdown
-from toolkit.recording.story import SHARE, Story
+from toolkit.recording.story import SHARE, Cost, Story
 from toolkit.recording.stream import Stream
 from toolkit.runs import Run
 from toolkit.simulation.plant import Plant, native_plant
@@ -154,11 +154,11 @@ class _Told:
         """Trouble that somebody else had with what only helps to see the run."""
         self.trouble = self.trouble or trouble
 
-    def finish(self) -> str:
+    def finish(self) -> Cost | str:
         """Close the recording; what it cost, or what went wrong with it."""
         story, self._story = self._story, None
         cost = None if story is None else self._told(story.finish)
-        return str(cost) if not self.trouble else f"the run is not fully recorded: {self.trouble}"
+        return cost if not self.trouble else f"the run is not fully recorded: {self.trouble}"
 
     def _told(self, act: Callable[[], Any], ends: bool = True) -> Any:
         try:

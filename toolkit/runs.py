@@ -16,7 +16,7 @@ import platform
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
@@ -256,7 +256,7 @@ class Run:
 
 
 _COUNTS = {...: int}
-_EVALUATION = {"episodes": int, "successes": int, "success_rate": float, "ci95": [float], "seed": int}
+_EVALUATION = {"episodes": int, "successes": int, "success_rate": float, "ci95": [float]}
 _REPORT = {
     "targets": {...: {"native": _EVALUATION, "merged": _EVALUATION}}, "train_iterations": _COUNTS, "sim_epochs": _COUNTS,
     "check_episodes": _COUNTS, "routes": {...: [str]}, "totals": {"train_iterations": int, "sim_epochs": int, "check_episodes": int,
@@ -278,12 +278,16 @@ def read_success(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     report = read_object(file, mend)
-    shape = {"targets": {...: {"native": _EVALUATION}}, "routes": {...: [str]}, "totals": _COUNTS}
+    shape = {"targets": {...: {"native": _EVALUATION | {"seed": int}}}, "routes": {...: [str]}, "totals": _COUNTS}
     return require(report, {key: one for key, one in shape.items() if key in report}, str(file), mend)
 
 
-def read_report(folder: Path) -> dict[str, Any] | None:
-    """The whole report of a transfer's run folder; None while it has none.
+def read_report(folder: Path, needs: Sequence[str] = tuple(_REPORT)) -> dict[str, Any] | None:
+    """The report of a transfer's run folder; None while it has none.
+
+    Args:
+        folder: of the run.
+        needs: what the caller looks at.
 
     Raises:
         ToolkitError: it is damaged, or lacks what those who read it need.
@@ -291,12 +295,14 @@ def read_report(folder: Path) -> dict[str, Any] | None:
     file, mend = folder / "report.json", "finish the run again with --resume"
     if not file.is_file():
         return None
-    report = require(read_object(file, mend), _REPORT, str(file), mend)
+    report = require(read_object(file, mend), {key: _REPORT[key] for key in needs}, str(file), mend)
     both = [evaluation for pair in report["targets"].values() for evaluation in (pair["native"], pair["merged"])]
     if not all(len(e["ci95"]) == 2 and 0 <= e["successes"] <= e["episodes"] > 0 for e in both):
         raise ToolkitError(f"{file} is damaged: an evaluation in it has no counts or no interval; {mend}")
-    lost = [path for key in ("train_iterations", "sim_epochs", "check_episodes") for path in report["routes"] if path not in report[key]]
-    if lost or not all(report["routes"].values()):
+    counts = [report[key] for key in ("train_iterations", "sim_epochs", "check_episodes") if key in needs]
+    routes = report["routes"] if "routes" in needs else {}
+    lost = [path for count in counts for path in routes if path not in count]
+    if lost or not all(routes.values()):
         raise ToolkitError(f"{file} is damaged: path {(lost or ['without robots'])[0]!r} has no counts; {mend}")
     return report
 
@@ -319,6 +325,8 @@ def read_tree(folder: Path) -> dict[str, Any]:
     sound = (
         len(set(names)) == len(names) and kinds <= {"source", "meta", "target"} and {"source", "target"} <= kinds
         and len({len(node["alpha"]) for node in tree["nodes"]}) == 1
+        and all(-1e-6 <= value <= 1.0 + 1e-6 for node in tree["nodes"] for value in node["alpha"])
+        and all(0.0 <= edge["length"] < 1e6 for edge in tree["edges"])
         and len({edge["to"] for edge in tree["edges"]}) == len(tree["edges"]) == len(names) - 1  # one way into each but the source
         and all(end in names for edge in tree["edges"] for end in (edge["from"], edge["to"]))
     )  # fmt: skip
