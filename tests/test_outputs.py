@@ -18,6 +18,7 @@ from toolkit.errors import ToolkitError
 from toolkit.pipeline import _Told
 from toolkit.recording.stream import Stream, finish
 from toolkit.recording.viewer import chunks_of
+from toolkit.runs import Run
 
 POINTS = '{"source": {"name": "s", "alpha": [0, 0]}, "targets": [{"name": "a", "alpha": [1, 0]}, {"name": "b", "alpha": [0, 1]}]}'
 
@@ -98,7 +99,7 @@ def test_what_stops_a_run_is_not_hidden_by_the_recording(tmp_path, monkeypatch):
         def meta_evolve(self):
             raise ToolkitError("checkpoint cannot be written (No space left on device)")
 
-    job.transfer = Transfer()
+    job.transfer, job.run = Transfer(), Run.create(tmp_path / "r", {})
     with pytest.raises(ToolkitError, match="No space left on device"):
         job.play()
     assert watched[-1]["event"] == "recorded" and watched[-1]["trouble"] and "File-writer" in watched[-1]["cost"]

@@ -61,7 +61,8 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     out = out or folder / "page"
     run = Run.open(folder)
     unread: list[str] = []
-    records, phases, plan, report = transfer_records(run), load_phases(folder, unread.append), Plan(tree), read_report(folder, ("targets", "totals", "wall_s"))
+    records, phases, plan = transfer_records(run), load_phases(folder, unread.append), Plan(tree)
+    report = read_report(folder, ("targets", "totals", "wall_s"))
     pictures: dict[str, bytes] = {}
     progress("figures")
     walked = walked_edges(plan, records, phases)
