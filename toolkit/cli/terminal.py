@@ -179,7 +179,7 @@ class Progress:
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "recorded":
                 if not self.quiet or record.get("trouble"):
-                    self.console.print(str(record["cost"]), highlight=False, markup=False)
+                    self.console.print(str(record["cost"]), highlight=False, markup=False, soft_wrap=True)
                 return
             if record["event"] == "preparing":
                 self.show("preparing", f"measuring and merging {', '.join(record['robots'])}", now=True)

@@ -54,7 +54,11 @@ class Stream:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.touch()
-            self._room()
+            try:
+                self._room()
+            except ToolkitError:
+                self.path.unlink()  # an empty file would be taken for a damaged recording
+                raise
             self._stream.save(self.path)
         except (OSError, RuntimeError) as error:
             raise ToolkitError(f"recording {self.path} cannot be written ({error}); choose a folder that can be") from None
