@@ -6,10 +6,12 @@ approaches from above, preshapes, closes until each finger touches, lifts and ca
 noise vary. The frame of an object is the centre of its primitive, its axes the primitive's (tasks/objects.py).
 """
 
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 import yaml
@@ -387,19 +389,29 @@ def write_standin(
     root = Path(root)
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise ValueError(f"{root} exists and is not an empty folder; choose another --out")
+    root.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(mkdtemp(prefix=f".{root.name}.", dir=root.parent))  # half a data set would be taken for a whole one
+    try:
+        names = _write_all(part, objects, each, seed, frames, progress)
+        part.chmod(0o755)
+        os.replace(part, root)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return names
+
+
+def _write_all(
+    root: Path, objects: Sequence[str], each: int, seed: int, frames: int, progress: Callable[[int, int], None]
+) -> list[str]:
     stamp = "20260101_000000"
     cameras = _cameras(np.random.default_rng((seed, 1)))
     names = []
-    try:
-        _write_calibration(root, stamp, cameras)
-        for number, (name, index) in enumerate((name, i) for name in objects for i in range(each)):
-            time = f"20260101_{number // 3600:02d}{number // 60 % 60:02d}{number % 60:02d}"
-            names.append(f"20260101-subject-01/{time}")
-            rng = np.random.default_rng((seed, 2, number))
-            _write_take(_take(root / names[-1], OBJECTS[name], index % 5 == 4, rng, frames), stamp, cameras)
-            progress(number + 1, len(objects) * each)
-        (root / "README.md").write_text(README)
-    except KeyboardInterrupt:
-        shutil.rmtree(root, ignore_errors=True)  # half a data set would be taken for a whole one
-        raise
+    _write_calibration(root, stamp, cameras)
+    for number, (name, index) in enumerate((name, i) for name in objects for i in range(each)):
+        time = f"20260101_{number // 3600:02d}{number // 60 % 60:02d}{number % 60:02d}"
+        names.append(f"20260101-subject-01/{time}")
+        rng = np.random.default_rng((seed, 2, number))
+        _write_take(_take(root / names[-1], OBJECTS[name], index % 5 == 4, rng, frames), stamp, cameras)
+        progress(number + 1, len(objects) * each)
+    (root / "README.md").write_text(README)
     return names

@@ -333,3 +333,36 @@ def test_the_command_outlives_stray_clients_too():
         assert process.wait(20) == 0
     finally:
         process.kill()
+
+
+@pytest.mark.parametrize("asked_for, has", [("lockstep", "real"), ("real", "lockstep")])
+def test_a_twin_of_another_pace_is_refused(asked_for, has, capsys):
+    """A lockstep client on a twin by the clock once failed every episode without a word."""
+    command = [sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", has]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        port = int(process.stdout.readline().rsplit(":", 1)[1])
+        with pytest.raises(SystemExit) as stop:
+            main(["deploy", "kinova3", "--connect", f"127.0.0.1:{port}", "--pace", asked_for, "--episodes", "1"])
+        assert stop.value.code == 2 and f"start it with --pace {asked_for}" in capsys.readouterr().err
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_twin_ends_with_the_deployment_that_started_it():
+    """Whose process may be killed without a word."""
+    command = [sys.executable, "-m", "toolkit.cli", "deploy", "kinova3", "--episodes", "50", "--pace", "lockstep"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, cwd=ROOT)
+    for line in process.stderr:
+        if "succeed" in line:
+            break
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    assert len(children) == 1
+    process.kill()
+    process.wait()
+    for _ in range(100):
+        if not Path(f"/proc/{children[0]}").exists():
+            return
+        time.sleep(0.1)
+    raise AssertionError("the twin lives on, an orphan")

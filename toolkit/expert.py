@@ -313,7 +313,14 @@ class _Training:
         if "expert" not in self.run.checkpoints():
             self.run.truncate_metrics(0)
             return
-        tensors, state = self.run.load_checkpoint("expert")
+        try:
+            self._take_up(*self.run.load_checkpoint("expert"))
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise ToolkitError(f"the checkpoint in {self.run.path} is damaged, or of another version ({error!r}); start a new run under "
+                               "another --run") from None  # fmt: skip
+        self.run.truncate_metrics(self._records)
+
+    def _take_up(self, tensors: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         load_learner(tensors, "expert", self.policy, self.value)
         self.updates, self.rounds, self.cloned = state["updates"], state["rounds"], state["cloned"]
         self.card, self._records = state["card"], state["records"]
@@ -321,7 +328,6 @@ class _Training:
         if self.recorded:
             arrays, kept = self.run.load_checkpoint("lessons")
             self.lessons = _Lessons(arrays["seen"], arrays["labels"], kept["shown"]).first(state["rows"])
-        self.run.truncate_metrics(self._records)
 
 
 SHIPPED = Path(__file__).parent / "experts"

@@ -3,9 +3,11 @@
 import hashlib
 import io
 import json
+import os
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -26,6 +28,7 @@ from tasks.pick import (
 )  # fmt: skip
 from toolkit import datasheet
 from toolkit.bundle import GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS
+from toolkit.claims import claim, give_up
 from toolkit.datasheet import Played
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
@@ -55,6 +58,8 @@ from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
 from toolkit.runs import git_state, recorded_versions, write_atomically
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
 
+ZIPPED = "bundle.zip"
+"""Name of the .zip while it lies beside the files that are in it."""
 GOLDEN_VECTORS, GOLDEN_TOLERANCE = 8, 1e-5
 RECORDED_SEED = 2 * 10**9
 """Of the recorded episode; those that are only measured follow. Training and evaluation stay below."""
@@ -149,7 +154,7 @@ def write_bundle(
 ) -> Manifest:
     """Export a policy for a robot with a gripper, as the folder ``out`` and the file ``out``.zip.
 
-    The manifest is written last, so that a torn export never loads.
+    They are made beside their place and moved there when all is done: an export that fails leaves an earlier bundle as it was.
 
     Args:
         policy: what is exported; its mean action is what plays.
@@ -177,24 +182,41 @@ def write_bundle(
         raise ToolkitError(f"the run's config is not JSON ({error}); give strings, numbers and lists") from error
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / MANIFEST).unlink(missing_ok=True)
-        _zip_of(out).unlink(missing_ok=True)
+        claim(out, "wait until it has ended, or choose another --out")
     except OSError as error:
         raise ToolkitError(f"{out} cannot be a bundle's folder ({error.strerror}); choose another --out") from error
-    action_map = gripper_action_map()
-    export_onnx(policy, out / ONNX, action_map, OBSERVATION)  # to be measured; once more below, with its metadata
-    manifest, files = _describe(policy, robot, task, action_map, out / ONNX, dict(config), lineage, success, progress, episodes)
-    export_onnx(policy, out / ONNX, action_map, OBSERVATION, manifest.label())
-    policy.save(out / SAFETENSORS)
     try:
-        for name, content in files.items():
-            write_atomically(out / name, content)
-        digests = {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in HASHED}
-        manifest = Manifest(**(manifest.__dict__ | {"sha256": digests}))
-        write_atomically(out / MANIFEST, (json.dumps(manifest.to_json(), indent=1) + "\n").encode())
-        write_atomically(_zip_of(out), _zipped(out))
+        with TemporaryDirectory(prefix=".export-", dir=out) as folder:  # an earlier bundle stays whole until this one is
+            manifest = _write(policy, robot, task, dict(config), lineage, success, Path(folder), out.name, progress, episodes)
+            (out / MANIFEST).unlink(missing_ok=True)
+            for name in (*HASHED, MANIFEST):
+                os.replace(Path(folder) / name, out / name)
+            os.replace(Path(folder) / ZIPPED, _zip_of(out))
     except OSError as error:
         raise ToolkitError(f"{out} cannot be written ({error.strerror}); choose another --out") from error
+    finally:
+        give_up(out)
+        if not any(out.iterdir()):
+            out.rmdir()
+    return manifest
+
+
+def _write(
+    policy: GaussianPolicy, robot: Robot, task: PickTask, config: dict[str, Any], lineage: Lineage, success: Success, folder: Path,
+    name: str, progress: Callable[[str], None], episodes: tuple[int, int],
+) -> Manifest:  # fmt: skip
+    """All files of the bundle ``name``, and its .zip as ZIPPED, into an empty folder."""
+    action_map = gripper_action_map()
+    export_onnx(policy, folder / ONNX, action_map, OBSERVATION)  # to be measured; once more below, with its metadata
+    manifest, files = _describe(policy, robot, task, action_map, folder / ONNX, config, lineage, success, progress, episodes)
+    export_onnx(policy, folder / ONNX, action_map, OBSERVATION, manifest.label())
+    policy.save(folder / SAFETENSORS)
+    for file, content in files.items():
+        write_atomically(folder / file, content)
+    digests = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in HASHED}
+    manifest = Manifest(**(manifest.__dict__ | {"sha256": digests}))
+    write_atomically(folder / MANIFEST, (json.dumps(manifest.to_json(), indent=1) + "\n").encode())
+    write_atomically(folder / ZIPPED, _zipped(folder, name))
     return manifest
 
 
@@ -202,14 +224,14 @@ def _zip_of(out: Path) -> Path:
     return out.with_name(out.name + ".zip")
 
 
-def _zipped(out: Path) -> bytes:
-    """The folder's files, with the same dates always: same bundle, same bytes."""
+def _zipped(folder: Path, bundle: str) -> bytes:
+    """The folder's files below the bundle's name, with the same dates always: same bundle, same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in (MANIFEST, *HASHED):
-            entry = zipfile.ZipInfo(f"{out.name}/{name}", date_time=(2024, 1, 1, 0, 0, 0))
+            entry = zipfile.ZipInfo(f"{bundle}/{name}", date_time=(2024, 1, 1, 0, 0, 0))
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            archive.writestr(entry, (out / name).read_bytes())
+            archive.writestr(entry, (folder / name).read_bytes())
     return buffer.getvalue()
 
 

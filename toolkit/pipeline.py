@@ -20,13 +20,13 @@ from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.jsonfiles import read_object
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.phases import Witness
 from toolkit.quoting import markdown
-from toolkit.recording.story import SHARE, Story
+from toolkit.recording.story import SHARE, Cost, Story
 from toolkit.recording.stream import Stream
 from toolkit.runs import Run, read_audit
 from toolkit.settings import Method, TransferConfig
@@ -136,6 +136,55 @@ class Lab:
         return evolution_tree(source, targets, metric, kind)
 
 
+class _Told:
+    """The recording of a run, and what it keeps to be seen: whatever becomes of them, the run goes on, and says so at its end.
+
+    Args:
+        folder: the run folder.
+        begin: makes the story.
+
+    Attributes:
+        trouble: the first thing that went wrong, in a sentence; empty if nothing did.
+    """
+
+    def __init__(self, folder: Path, begin: Callable[[], Story]) -> None:
+        self.folder, self.trouble = folder, ""
+        self._story = self._told(begin)
+
+    def tell(self, record: dict[str, Any]) -> None:
+        """See Story."""
+        if self._story is not None:
+            self._told(lambda: self._story.tell(record))
+
+    def summary(self, text: str) -> None:
+        """See Story."""
+        if self._story is not None:
+            self._told(lambda: self._story.summary(text))
+
+    def aside(self, act: Callable[[], Any]) -> None:
+        """Do what only helps to see the run."""
+        self._told(act, ends=False)
+
+    def note(self, trouble: str) -> None:
+        """Trouble that somebody else had with what only helps to see the run."""
+        self.trouble = self.trouble or trouble
+
+    def finish(self) -> Cost | str:
+        """Close the recording; what it cost, or what went wrong with it."""
+        story, self._story = self._story, None
+        cost = None if story is None else self._told(story.finish)
+        return cost if not self.trouble else f"the run is not fully recorded: {self.trouble}"
+
+    def _told(self, act: Callable[[], Any], ends: bool = True) -> Any:
+        try:
+            return act()
+        except (ToolkitError, OSError, RuntimeError, ValueError, MemoryError) as error:
+            self.trouble = self.trouble or " ".join(str(error).split()) or type(error).__name__
+            if ends:
+                self._story = None
+            return None
+
+
 class Pipeline:
     """One run of a job: trains, evaluates, records; can be killed at any moment and resumed.
 
@@ -152,6 +201,15 @@ class Pipeline:
         policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch = job, watch
+        try:
+            self._prepare(folder, resume, policy, value)
+        except Exception:
+            self.run.end(failed=True)
+            raise
+
+    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction) -> None:
+        """Measure and merge the robots, and take up what an earlier sitting has left."""
+        job = self.job
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
@@ -163,7 +221,12 @@ class Pipeline:
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
                                  EXPLORED_DEVIATION)  # fmt: skip
         if resume:
-            self.transfer.restore()
+            try:
+                self.transfer.restore()
+            except (LookupError, TypeError, ValueError, AttributeError) as error:
+                raise ToolkitError(
+                    f"the checkpoint in {folder} is damaged, or of another version ({error!r}); start a new run under another --run"
+                ) from None
         self.run.write_json("tree", self.tree.to_json())
         stalls = folder / "stalls.json"
         self.stalls = read_object(stalls, "start the transfer again under another --run") if stalls.is_file() else {}
@@ -172,11 +235,16 @@ class Pipeline:
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.witness = Witness(folder, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
-        stream = Stream(folder / "recording.rrd")
-        self.story = Story(stream, folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, SHARE, records)
+        tree = self.tree.to_json()
+        self.story = _Told(folder, lambda: Story(
+            Stream(folder / "recording.rrd"), folder, self.lab.merged, tree, policy.copy(), self._plant, SHARE, records))  # fmt: skip
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
+        with self.run.at_work():
+            return self._play()
+
+    def _play(self) -> dict[str, Any]:
         try:
             policies = self.transfer.meta_evolve()
             for name, policy in policies.items():
@@ -184,12 +252,14 @@ class Pipeline:
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
             report = self._report(evaluations)
             self.run.write_json("report", report)
-            self.run.write_summary(summary(report, self.tree))
+            self.story.aside(lambda: self.run.write_summary(summary(report, self.tree)))
             self.story.summary(summary(report, self.tree))
             return report
         finally:
-            self.watch({"event": "recorded", "cost": self.story.finish()})
             self.engine.close()
+            self.story.note(self.engine.trouble)
+            cost = self.story.finish()
+            self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.story.trouble)})
 
     def _audit(self) -> None:
         """What the robots along the tree can do, in short, before any policy is taken through them."""
@@ -214,7 +284,8 @@ class Pipeline:
 
     def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
         """Remember the episodes worth seeing."""
-        self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise, branch.updates)
+        self.story.aside(lambda: self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise,
+                                                  branch.updates))  # fmt: skip
 
     def _seen(self, record: dict[str, Any], branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
@@ -223,7 +294,7 @@ class Pipeline:
             self._stalled(branch)
         if record["event"] in ("moved", "arrived"):
             start = self._stood.get(branch.path, branch.alpha)
-            self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha)
+            self.story.aside(lambda: self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha))
         self._stood[branch.path] = branch.alpha
         self.story.tell(record)
 

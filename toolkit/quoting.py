@@ -25,7 +25,7 @@ def plain(text: str) -> str:
 
 def markdown(text: str) -> str:
     """Text as it is, in Markdown and in a cell of its tables: nothing in it is emphasis, a link, HTML or a column's end."""
-    return re.sub(r"([\\`*_{}\[\]<>()#+!|~$&])", r"\\\1", plain(text))
+    return re.sub(r"([\\`*\[\]<>|~$&]|(?<!\w)_|_(?!\w))", r"\\\1", plain(text))  # an underscore within a word is a letter
 
 
 def letters(draw: Callable[Given, Made]) -> Callable[Given, Made]:

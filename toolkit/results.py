@@ -166,7 +166,10 @@ def write_results(folder: Path, title: str, command: str) -> Path:
         "Each point is one measurement of the mean action's success on the next robot of the path; a point below the line means that "
         "the step was halved, or that training began there.", "",
     ]  # fmt: skip
-    page.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        page.write_text("\n".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise ToolkitError(f"{page} cannot be written ({error.strerror}); choose another --out") from None
     return page
 
 
@@ -297,6 +300,13 @@ def _spread(values: Sequence[float], digits: int = 0) -> str:
 
 # ---- pictures --------------------------------------------------------------------------------------------------------
 
+def _save(figure: Figure, file: Path) -> None:
+    try:
+        figure.savefig(file, dpi=110)
+    except (OSError, ValueError) as error:
+        raise ToolkitError(f"the plot cannot be written to {file} ({error}); name a .png, .pdf or .svg file") from None
+
+
 _HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 
 
@@ -317,7 +327,7 @@ def plot_success(runs: Sequence[Result], file: Path) -> None:
         panel.set(xlim=(-0.05, 1.05), ylim=(len(runs) - 0.5, -0.5), yticks=range(len(runs)), yticklabels=[run.name for run in runs])
         panel.grid(axis="y", linewidth=0.3)
     figure.supxlabel("success, unmodified robot", fontsize=10)
-    figure.savefig(file, dpi=110)
+    _save(figure, file)
 
 
 @letters
@@ -333,7 +343,7 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
                 left += count
         panel.set(xlabel=f"{label}, by path", ylim=(len(runs) - 0.4, -0.6), yticks=range(len(runs)),
                   yticklabels=[run.name for run in runs])  # fmt: skip
-    figure.savefig(file, dpi=110)
+    _save(figure, file)
 
 
 @letters
@@ -356,7 +366,7 @@ def plot_curves(runs: Sequence[Result], file: Path) -> None:
         panel.legend(fontsize=6)
     for panel in panels[:, 0]:
         panel.set_ylabel("success")
-    figure.savefig(file, dpi=110)
+    _save(figure, file)
 
 
 @letters
@@ -371,4 +381,4 @@ def plot_walk(waypoints: Sequence[Waypoint], file: Path) -> None:
         panel.set_title(f"{start} to {end}", fontsize=8)
         panel.set(xlabel="share of the edge", ylim=(-0.03, 1.03))
     panels[0, 0].set_ylabel("success")
-    figure.savefig(file, dpi=110)
+    _save(figure, file)

@@ -14,8 +14,10 @@ import math
 import os
 import platform
 import re
+import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ import numpy as np
 from safetensors.numpy import save as safetensors_bytes
 
 from toolkit import __version__
+from toolkit.claims import LOCK, claim, give_up
 from toolkit.errors import ToolkitError
 from toolkit.jsonfiles import content_of, parsed, parsed_object, read_object, require
 from toolkit.tensors import read_tensors
@@ -31,6 +34,8 @@ from toolkit.tensors import read_tensors
 RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
 BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
 ABSENT = "(absent)"
+CLAIMED = "wait until it has ended, or end it"
+"""The mend where another process works on a run."""
 
 
 class Run:
@@ -44,6 +49,7 @@ class Run:
     def __init__(self, path: Path, config: dict[str, Any]) -> None:
         self.path = path
         self.config = config
+        self._made: Path | None = None  # the first folder that did not exist before, of a run that was started here
 
     @classmethod
     def create(cls, path: Path | str, config: dict[str, Any]) -> "Run":
@@ -54,13 +60,18 @@ class Run:
             config: all that determines the run; JSON values, NumPy scalars and arrays, paths.
 
         Raises:
-            ToolkitError: the folder holds files already, or cannot be written, or config is not JSON.
+            ToolkitError: the folder holds files already, another process works there, it cannot be written, or config is not JSON.
         """
         path = Path(path)
+        made = next((parent for parent in [*reversed(path.parents), path] if not parent.exists()), None)
+        run = cls(path, _plain(config))
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if any(path.iterdir()):
+            claim(path, CLAIMED)
+            if any(file.name != LOCK for file in path.iterdir()):
+                give_up(path)
                 raise ToolkitError(f"run folder {path} exists; add --resume to continue it, or choose another --run")
+            run._made = made or path
             (path / "checkpoints").mkdir()
             write_atomically(path / "config.json", _json_bytes(config, "config"))
             write_atomically(path / "versions.json", _json_bytes(recorded_versions(), "versions"))
@@ -68,8 +79,12 @@ class Run:
         except (FileExistsError, NotADirectoryError):
             raise ToolkitError(f"run folder {path} is a file or lies below one; choose another --run") from None
         except OSError as error:
+            run.end(failed=True)
             raise _unwritable(path, error) from None
-        return cls(path, _plain(config))
+        except ToolkitError:
+            run.end(failed=True)
+            raise
+        return run
 
     @classmethod
     def open(cls, path: Path | str, config: dict[str, Any] | None = None) -> "Run":
@@ -81,7 +96,7 @@ class Run:
                 from the file.
 
         Raises:
-            ToolkitError: no such run, a broken config.json or metrics.jsonl, another config, or not writable.
+            ToolkitError: no such run, a broken config.json or metrics.jsonl, another config, not writable, or another process works on it.
         """
         path = Path(path)
         if not path.is_dir():
@@ -94,8 +109,34 @@ class Run:
                 )
         run = cls(path, stored)
         if config is not None:
+            try:
+                claim(path, CLAIMED)
+            except OSError as error:
+                raise _unwritable(path, error) from None
             run._write_metrics(run.read_metrics())
         return run
+
+    def end(self, failed: bool = False) -> None:
+        """Let others write into the run. A start that failed before its first checkpoint leaves no folder that is then in the way."""
+        if failed and self._made is not None and not self.checkpoints():
+            give_up(self.path)
+            shutil.rmtree(self.path, ignore_errors=True)
+            for parent in self.path.parents:
+                if not parent.is_relative_to(self._made) or any(parent.iterdir()):
+                    break
+                parent.rmdir()
+        give_up(self.path)
+
+    @contextmanager
+    def at_work(self) -> "Iterator[Run]":
+        """While this process works on the run, which then ends; with an error, as one that failed. Ctrl-C leaves it to --resume."""
+        try:
+            yield self
+        except Exception:
+            self.end(failed=True)
+            raise
+        finally:
+            self.end()
 
     def commit(self) -> str:
         """Commit of the toolkit that started it; "unknown" where that was no checkout."""
@@ -215,7 +256,7 @@ class Run:
 
 
 _COUNTS = {...: int}
-_EVALUATION = {"episodes": int, "successes": int, "success_rate": float, "ci95": [float], "seed": int}
+_EVALUATION = {"episodes": int, "successes": int, "success_rate": float, "ci95": [float]}
 _REPORT = {
     "targets": {...: {"native": _EVALUATION, "merged": _EVALUATION}}, "train_iterations": _COUNTS, "sim_epochs": _COUNTS,
     "check_episodes": _COUNTS, "routes": {...: [str]}, "totals": {"train_iterations": int, "sim_epochs": int, "check_episodes": int,
@@ -237,12 +278,16 @@ def read_success(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     report = read_object(file, mend)
-    shape = {"targets": {...: {"native": _EVALUATION}}, "routes": {...: [str]}, "totals": _COUNTS}
+    shape = {"targets": {...: {"native": _EVALUATION | {"seed": int}}}, "routes": {...: [str]}, "totals": _COUNTS}
     return require(report, {key: one for key, one in shape.items() if key in report}, str(file), mend)
 
 
-def read_report(folder: Path) -> dict[str, Any] | None:
-    """The whole report of a transfer's run folder; None while it has none.
+def read_report(folder: Path, needs: Sequence[str] = tuple(_REPORT)) -> dict[str, Any] | None:
+    """The report of a transfer's run folder; None while it has none.
+
+    Args:
+        folder: of the run.
+        needs: what the caller looks at.
 
     Raises:
         ToolkitError: it is damaged, or lacks what those who read it need.
@@ -250,12 +295,14 @@ def read_report(folder: Path) -> dict[str, Any] | None:
     file, mend = folder / "report.json", "finish the run again with --resume"
     if not file.is_file():
         return None
-    report = require(read_object(file, mend), _REPORT, str(file), mend)
+    report = require(read_object(file, mend), {key: _REPORT[key] for key in needs}, str(file), mend)
     both = [evaluation for pair in report["targets"].values() for evaluation in (pair["native"], pair["merged"])]
     if not all(len(e["ci95"]) == 2 and 0 <= e["successes"] <= e["episodes"] > 0 for e in both):
         raise ToolkitError(f"{file} is damaged: an evaluation in it has no counts or no interval; {mend}")
-    lost = [path for key in ("train_iterations", "sim_epochs", "check_episodes") for path in report["routes"] if path not in report[key]]
-    if lost or not all(report["routes"].values()):
+    counts = [report[key] for key in ("train_iterations", "sim_epochs", "check_episodes") if key in needs]
+    routes = report["routes"] if "routes" in needs else {}
+    lost = [path for count in counts for path in routes if path not in count]
+    if lost or not all(routes.values()):
         raise ToolkitError(f"{file} is damaged: path {(lost or ['without robots'])[0]!r} has no counts; {mend}")
     return report
 
@@ -292,6 +339,8 @@ def read_tree(folder: Path) -> dict[str, Any]:
     sound = (
         len(set(names)) == len(names) and kinds <= {"source", "meta", "target"} and {"source", "target"} <= kinds
         and len({len(node["alpha"]) for node in tree["nodes"]}) == 1
+        and all(-1e-6 <= value <= 1.0 + 1e-6 for node in tree["nodes"] for value in node["alpha"])
+        and all(0.0 <= edge["length"] < 1e6 for edge in tree["edges"])
         and len({edge["to"] for edge in tree["edges"]}) == len(tree["edges"]) == len(names) - 1  # one way into each but the source
         and all(end in names for edge in tree["edges"] for end in (edge["from"], edge["to"]))
     )  # fmt: skip
@@ -326,12 +375,16 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         OSError: the folder cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # of this process's own, whoever else writes
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
     if os.name == "posix":  # the rename itself is durable only once the folder is synced; Windows cannot open folders
         folder = os.open(path.parent, os.O_RDONLY)
         try:

@@ -8,6 +8,7 @@ a position-controlled arm: a stiff servo follows the waypoints, as an industrial
 import select
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,10 +63,11 @@ class Twin:
         self.begin(0)
 
     def describe(self) -> dict[str, Any]:
-        """The twin's ArmInfo."""
+        """The twin's ArmInfo, and its pace."""
         return {
             "robot": self.robot.name, "joints": self._names, "fingers": self._finger_names, "forms": FORMS,
             "rate_hz": 1.0 / self.model.opt.timestep, "model_sha256": datasheet.model_sha256(self.model),
+            "pace": self.pace,
         }  # fmt: skip
 
     def begin(self, seed: int) -> None:
@@ -219,8 +221,8 @@ class _Client:
     heard: float = -np.inf
 
 
-def serve(twin: Twin, listener: socket.socket) -> None:
-    """Answer one client after another until one asks the twin to close.
+def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = lambda: False) -> None:
+    """Answer one client after another until one asks the twin to close, or whoever started it is gone.
 
     The twin's clock goes on whatever a client does: none is waited for, in reading or in writing. Who says what makes no sense is
     told so, where it can be, and is sent away; who comes while another is served is told so at once.
@@ -228,7 +230,7 @@ def serve(twin: Twin, listener: socket.socket) -> None:
     listener.setblocking(False)
     client: _Client | None = None
     try:
-        while True:
+        while not orphaned():
             lines = [] if client is None else [client.line]
             reads, writes, _ = select.select([listener, *lines], [line for line in lines if line.waiting], [], twin.catch_up())
             if listener in reads:

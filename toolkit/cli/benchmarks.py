@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
-from toolkit.cli.terminal import Progress, emit, table
+from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 from toolkit.quoting import told
 
@@ -189,6 +189,7 @@ def bench_engine(
 
     if episodes < 0 or rounds < 1:
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
+    room_for(page)
     systems = [find_robot(name) for name in (robots or ROBOTS)]
     from toolkit.expert import load_expert
     from toolkit.speed import measure_engine, performance_page
@@ -197,13 +198,16 @@ def bench_engine(
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
     with Progress("engine", quiet=json) as progress:
         found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
-    if page is not None:
-        named = ["--robots", *robots] if robots else []
-        page.write_text(performance_page(found, told("bench", "engine", *named, "--episodes", episodes, "--page", page.name)))
     if json:
         emit(found, True, "")
-        return
-    _show_engine(found)
+    else:
+        _show_engine(found)
+    if page is not None:
+        named = ["--robots", *robots] if robots else []
+        try:
+            page.write_text(performance_page(found, told("bench", "engine", *named, "--episodes", episodes, "--page", page.name)))
+        except OSError as error:
+            raise ToolkitError(f"{page} cannot be written ({error.strerror}); choose another --page") from None
 
 
 def _show_engine(found: dict) -> None:
@@ -257,6 +261,7 @@ def bench_walk(
     """
     if steps < 1 or episodes < 1:
         raise ToolkitError(f"steps is {steps} and episodes {episodes}; give at least one of each")
+    room_for(plot)
     lab = make_lab(source, targets, task)
     from toolkit.evaluation import walk
     from toolkit.expert import load_expert
@@ -270,15 +275,15 @@ def bench_walk(
         for waypoint in walk(policy, RolloutEngine(lab.merged), tree, steps, episodes):
             found.append(waypoint)
             progress.show(f"{waypoint.start} to {waypoint.end}", f"{waypoint.successes} of {episodes}", len(found), total)
+    if json:
+        emit({"source": source, "task": task, "kind": kind, "metric": metric, "waypoints": [asdict(w) for w in found]}, True, "")
+    else:
+        table(f"{source}'s expert along the tree", ["from", "to", "share", "successes", "diverged"],
+              [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])  # fmt: skip
     if plot is not None:
         from toolkit.results import plot_walk
 
         plot_walk(found, plot)
-    if json:
-        emit({"source": source, "task": task, "kind": kind, "metric": metric, "waypoints": [asdict(w) for w in found]}, True, "")
-        return
-    table(f"{source}'s expert along the tree", ["from", "to", "share", "successes", "diverged"],
-          [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])  # fmt: skip
 
 
 @bench.command(name="tree")

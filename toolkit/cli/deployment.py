@@ -1,5 +1,6 @@
 """export, deploy, twin: a policy leaves the toolkit."""
 
+import os
 import sys
 from collections import Counter
 from pathlib import Path
@@ -23,6 +24,8 @@ FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
 
 LABEL_EPISODES = 40
+OWNER = "META_EVOLVE_TWIN_OWNER"
+"""Set for a twin that a deployment starts: the process whose end is also the twin's, however it ends."""
 
 
 def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, json: bool = False) -> None:
@@ -105,7 +108,11 @@ def _deploy(
     from toolkit.deploy.runtime import EVALUATION_SEEDS, Runtime, TickLog, play, wilson_interval
 
     manifest = bundle.manifest
-    runtime = Runtime(bundle, arm.connect(), form)
+    info = arm.connect()
+    if arm.pace != pace:
+        played = {"real": "follows the clock", "lockstep": "waits for each command"}.get(arm.pace, "does not say its pace")
+        raise ToolkitError(f"the twin at {arm.where} {played}, but --pace is {pace}; start it with --pace {pace}, or give its own here")
+    runtime = Runtime(bundle, info, form)
     record = TickLog(log, {"robot": manifest.robot.name, "task": manifest.task.name, "form": form, "pace": pace,
                            "policy_hz": manifest.policy_hz})  # fmt: skip
     outcomes, behind, successes = [], 0.0, 0
@@ -160,7 +167,7 @@ def _start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
     import subprocess
 
     command = [sys.executable, "-m", "toolkit.cli", "twin", "--pace", pace, "--", bundle]
-    twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {OWNER: str(os.getpid())})
     for line in twin.stdout:  # whatever else is printed on the way is not ours
         if line.startswith("twin of "):
             return twin, int(line.rsplit(":", 1)[1])
@@ -208,7 +215,8 @@ def twin(
         served = Twin(robot, task, pace)
         listener.listen()  # whoever comes earlier is not kept waiting, but tries again
         print(f"twin of {robot.name} at {host}:{listener.getsockname()[1]}", flush=True)
-        serve(served, listener)
+        owner = os.environ.get(OWNER)
+        serve(served, listener, orphaned=lambda: owner is not None and os.getppid() != int(owner))
 
 
 def _lineage(run: Path, target: str) -> "Lineage":

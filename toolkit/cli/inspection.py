@@ -91,10 +91,17 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
         return record_deployment(path)
     if not rebuild:
         return path
+    from toolkit import claims
     from toolkit.recording import shows
 
     file = out or path / "recording.rrd"
-    print(shows.rebuild(known_run(path), file))
+    known = known_run(path)
+    if out is None:  # a running transfer writes that very file
+        claims.claim(path, "look at it with --live, or give --out FILE")
+    try:
+        print(shows.rebuild(known, file))
+    finally:
+        claims.give_up(path)
     return file
 
 

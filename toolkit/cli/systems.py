@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from toolkit.cli.names import TASK, all_robots, broken_cards, find_robot, find_task, make_lab
-from toolkit.cli.terminal import Progress, emit, short, table
+from toolkit.cli.terminal import Progress, emit, room_for, short, table
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
@@ -82,6 +82,7 @@ def match(
     """
     if episodes < 0:
         raise ToolkitError(f"episodes is {episodes}; give 0 to play none")
+    room_for(plot)
     every = not targets
     targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
     with Progress("match", quiet=json) as progress:
@@ -97,8 +98,6 @@ def match(
         if episodes:
             progress.show("match", f"{episodes} episodes on the merged {source} and on robosuite's", now=True)
         survival = _survival(lab, episodes) if episodes else []
-    if plot is not None:
-        plot_merged_tree(lab.space.matching, plot)
     content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters),
                "become_ms": milliseconds, "robots": figures, "dropped_meshes": lab.space.matching.dropped_meshes,
                "expert": survival,
@@ -109,6 +108,8 @@ def match(
         emit(content, True, "")
     else:
         _show_match(lab.space.matching, content)
+    if plot is not None:
+        plot_merged_tree(lab.space.matching, plot)
     if every:
         _say_broken()
 

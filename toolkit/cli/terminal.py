@@ -5,8 +5,10 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TextIO
 
+from toolkit.errors import ToolkitError
 from toolkit.quoting import plain
 
 
@@ -93,6 +95,20 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
     console.print(table)
 
 
+def room_for(file: Path | None) -> None:
+    """Refuse a picture's or page's place before the work, not after it, if nothing can be written there.
+
+    Raises:
+        ToolkitError: its folder is missing or not writable, it is a folder itself, or its name has no ending.
+    """
+    if file is None:
+        return
+    if not file.suffix or file.is_dir():
+        raise ToolkitError(f"{file} names no file with an ending such as .png; choose another one")
+    if not file.parent.is_dir() or not os.access(file.parent, os.W_OK):
+        raise ToolkitError(f"{file} cannot be written: {file.parent} is no folder, or not yours to write to; choose another one")
+
+
 def short(value: Any) -> str:
     """Three digits of a float, anything else as it is."""
     return f"{value:.3g}" if isinstance(value, float) else str(value)
@@ -162,8 +178,8 @@ class Progress:
 
         def seen(record: dict[str, Any]) -> None:
             if record["event"] == "recorded":
-                if not self.quiet:
-                    self.console.print(str(record["cost"]), highlight=False, markup=False)
+                if not self.quiet or record.get("trouble"):
+                    self.console.print(str(record["cost"]), highlight=False, markup=False, soft_wrap=True)
                 return
             if record["event"] == "preparing":
                 self.show("preparing", f"measuring and merging {', '.join(record['robots'])}", now=True)

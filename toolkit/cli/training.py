@@ -63,31 +63,39 @@ def expert(
         Studio(demos, robot, frame_rate)  # no run folder for recordings that are not there
     with Progress("expert", quiet=json) as progress:
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
-        watch = progress.recordings(what.object.name)
-        teachers = None if demos is None else lambda: teachers_for(demos, robot, what, frame_rate, watch)
-        engine = RolloutEngine(make_lab(source, [name for name in TARGETS if name != source], task).merged)
-        policy, value, card = train_expert(engine, source, config, progress.expert(config), teachers, kept)
-        engine.close()
-        policy.save(folder / f"{source}{POLICY_FILE}")
-        results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
-        counter = lambda name: progress.count(f"{source} native, {name}", episodes)  # noqa: E731
-        results = {
-            key: evaluate_compiled(policy, robot, t, episodes) if compiled
-            else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
-            for key, t in results.items()
-        }  # fmt: skip
+        with kept.at_work():
+            watch = progress.recordings(what.object.name)
+            teachers = None if demos is None else lambda: teachers_for(demos, robot, what, frame_rate, watch)
+            engine = RolloutEngine(make_lab(source, [name for name in TARGETS if name != source], task).merged)
+            policy, value, card = train_expert(engine, source, config, progress.expert(config), teachers, kept)
+            engine.close()
+            policy.save(folder / f"{source}{POLICY_FILE}")
+            results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
+            counter = lambda name: progress.count(f"{source} native, {name}", episodes)  # noqa: E731
+            results = {
+                key: evaluate_compiled(policy, robot, t, episodes) if compiled
+                else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
+                for key, t in results.items()
+            }  # fmt: skip
     shown = [] if demos is None else ["--demos", demos]
     command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--demonstrations", demonstrations,
                    "--seed", seed)  # fmt: skip
     card |= {"command": command} | {key: result.to_json() for key, result in results.items()}
-    save_expert(policy, value, out or SHIPPED, f"{source}-{task}{'' if demos is None else RECORDED}", card)
     kept.write_json("report", card)
     lines = []
     for key, result in results.items():
         low, high = result.ci95
         name = task if key == "evaluation" else narrow_task(what).name
         lines.append(f"{source}, {name}: {result.successes} of {episodes} on the source robot ({low:.2f} to {high:.2f})")
-    emit(card, json, "\n".join([*lines, f"Saved in {out or SHIPPED}; run folder: {folder}"]))
+    name = f"{source}-{task}{'' if demos is None else RECORDED}"
+    try:
+        save_expert(policy, value, out or SHIPPED, name, card)
+        lines.append(f"Saved in {out or SHIPPED}; run folder: {folder}")
+    except (OSError, ToolkitError) as error:  # hours of training are not lost with it: --resume with another --out saves them
+        emit(card, json, "\n".join([*lines, f"Run folder: {folder}"]))
+        raise ToolkitError(f"the expert is trained, but {name} cannot be saved in {out or SHIPPED} ({error}); give another --out, with "
+                           "--resume") from None  # fmt: skip
+    emit(card, json, "\n".join(lines))
 
 
 def transfer(

@@ -2,10 +2,14 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from toolkit.cli.names import TARGETS, Kind, Metric, find_robot
-from toolkit.cli.terminal import emit, table
+from toolkit.cli.terminal import emit, room_for, table
 from toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from toolkit.evolution import EvolutionTree
 
 
 def tree(
@@ -36,6 +40,7 @@ def tree(
     """
     if arms and points is not None:
         raise ToolkitError("--arms needs robots with arms, which a points file does not have; leave out --points or --arms")
+    room_for(plot)
     from toolkit.evolution import evolution_tree, load_points, plot_tree
 
     more = {}
@@ -55,11 +60,16 @@ def tree(
         from toolkit.survey import growth as grown
 
         more["growth"] = [asdict(cost) for cost in grown(start, goals, metric)]
-    if plot is not None:
-        plot_tree(found, plot)
     if json:
         emit(found.to_json() | more, True, "")
-        return
+    else:
+        _show(found, more, kind, metric)
+    if plot is not None:  # last: the tree is found, whatever becomes of its picture
+        plot_tree(found, plot)
+
+
+def _show(found: "EvolutionTree", more: dict, kind: str, metric: str) -> None:
+    """A tree for people, and what was asked for besides."""
     names = [node.name for node in found.nodes]
     table(f"{kind} tree, {metric.upper()}", ["from", "to", "length"],
            [[names[e.start], names[e.end], f"{e.length:.2f}"] for e in found.edges])  # fmt: skip
@@ -68,9 +78,9 @@ def tree(
           f"ratio {found.ratio:.2f}, the saving that the tree promises.")  # fmt: skip
     columns = ["length", "independent paths", "ratio", "proven"]
     numbers = lambda c: [f"{c['length']:.2f}", f"{c['independent_length']:.2f}", f"{c['ratio']:.2f}", "yes" if c["optimal"] else "no"]  # noqa: E731
-    if growth:
+    if "growth" in more:
         table("Targets joining one by one", ["with", *columns], [[c["targets"][-1], *numbers(c)] for c in more["growth"]])
-    if arms:
+    if "arms" in more:
         best = more["arms"][0]
         table("The hand on other arms", ["arm", *columns], [[c["arm"], *numbers(c)] for c in more["arms"]])
         print(f"The best arm for the source is {best['arm']}: the tree to these targets is shortest from there.")

@@ -15,6 +15,7 @@ from typing import Any, Literal, TextIO
 import numpy as np
 
 from toolkit.bundle import Bundle
+from toolkit.claims import claim_file
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
@@ -285,7 +286,10 @@ class TickLog:
             return
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("w", encoding="utf-8")
+            self._file = path.open("a", encoding="utf-8")
+            claim_file(self._file, "give another --log")
+            if self._file.seekable() and self._file.tell():
+                self._file.truncate(0)  # begun anew, but not under another's pen
         except OSError as error:
             raise ToolkitError(f"the log {path} cannot be written ({error.strerror}); choose another --log") from error
         self._write({"format": LOG_FORMAT, "version": 1, "times": "ms", **about})

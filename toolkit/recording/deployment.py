@@ -19,6 +19,7 @@ from toolkit.jsonfiles import content_of, parsed_object, require
 from toolkit.quoting import markdown
 from toolkit.recording.layout import quiet_layout
 from toolkit.recording.learning import PATH_COLOURS
+from toolkit.recording.stream import finish
 
 TIMELINE = "tick"
 ACTIONS = ("x", "y", "z", "rx", "ry", "rz", "gripper")
@@ -44,18 +45,21 @@ def record_deployment(log: Path) -> Path:
     """
     about, rows = read_log(log)
     out = log.with_suffix(".rrd")
-    out.unlink(missing_ok=True)
     ticks = [row for row in rows if "tick" in row]
     stream = rr.RecordingStream("meta-evolve deployment")
-    stream.save(out)
+    try:
+        out.unlink(missing_ok=True)
+        out.touch()
+        stream.save(out)
+    except (OSError, RuntimeError) as error:
+        raise ToolkitError(f"recording {out} cannot be written ({error}); copy the log to a folder that can be") from None
     curves = _curves(ticks)
     stream.send_blueprint(_layout(curves))
     for entity, (names, values) in curves.items():
         _draw(stream, entity, names, values)
     text = rr.TextDocument(_summary(about, rows, ticks), media_type=rr.MediaType.MARKDOWN)
     stream.log("summary", text, static=True)
-    stream.flush()
-    stream.disconnect()
+    finish(stream, out)
     return out
 
 

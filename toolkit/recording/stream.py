@@ -6,6 +6,8 @@
 
 import os
 import subprocess
+import time
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,20 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
 
 from toolkit.errors import ToolkitError
 from toolkit.recording.programs import viewer_program
 
 APPLICATION = "meta-evolve"
+RESERVE = 32 << 20
+"""[bytes] that a recording leaves free on its disk."""
+BETWEEN = 0.05
+"""[s] between two looks at what is free."""
+PATIENCE = 20.0
+"""[s] that a flush may take."""
+LONGEST = 600.0
+"""[s] that joining the chunks of a recording may take."""
 FILM, ITERATION = "film", "iteration"
 
 
@@ -39,23 +50,45 @@ class Stream:
         if self.path is None:
             self._stream.connect_grpc(target)
             return
+        self._checked = 0.0
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.touch()
+            try:
+                self._room()
+            except ToolkitError:
+                self.path.unlink()  # an empty file would be taken for a damaged recording
+                raise
             self._stream.save(self.path)
         except (OSError, RuntimeError) as error:
             raise ToolkitError(f"recording {self.path} cannot be written ({error}); choose a folder that can be") from None
 
+    def _room(self) -> None:
+        """Stop before the disk is full: rerun's writer dies of it, and then whoever flushes, closes or ends waits for ever. What is
+        left is for what matters more than a recording.
+
+        Raises:
+            ToolkitError: there is little room.
+        """
+        if self.path is not None and time.monotonic() - self._checked > BETWEEN:
+            self._checked = time.monotonic()
+            disk = os.statvfs(self.path)
+            if disk.f_bavail * disk.f_frsize < RESERVE:
+                raise lost(self.path, f"No space left on device: less than {RESERVE >> 20} MiB are free")
+
     def arrange(self, blueprint: rrb.Blueprint) -> None:
         """Lay the viewer out; once per recording, as a layout is large."""
+        self._room()
         self._stream.send_blueprint(blueprint)
 
     def static(self, entity: str, *parts: rr.AsComponents) -> None:
         """Log what is the same at all times."""
+        self._room()
         self._stream.log(entity, *parts, static=True)
 
     def row(self, entity: str, film: float | None, iteration: int | None, *parts: rr.AsComponents) -> None:
         """Log what holds from a moment on; None: not on that timeline."""
+        self._room()
         self._stream.reset_time()
         if film is not None:
             self._stream.set_time(FILM, duration=duration(film))
@@ -72,6 +105,7 @@ class Stream:
             iteration: of all rows, or of each.
             columns: what an archetype's ``columns`` made.
         """
+        self._room()
         count = len(film) if film is not None else len(iteration)
         indexes = [] if film is None else [rr.TimeColumn(FILM, duration=duration(film))]
         if iteration is not None:
@@ -81,25 +115,67 @@ class Stream:
         self._stream.send_columns(entity, indexes, parts)
 
     def flush(self) -> None:
-        """Let a viewer, or whoever reads the file, see what was logged so far."""
-        self._stream.flush()
+        """Let a viewer, or whoever reads the file, see what was logged so far.
+
+        Raises:
+            ToolkitError: the file, or the viewer, takes nothing any more.
+        """
+        try:
+            self._stream.flush(timeout_sec=PATIENCE)  # rerun would wait for ever for a writer that has given up
+        except RuntimeError as error:
+            raise lost(self.path, str(error)) from None
 
     def close(self) -> None:
-        """Finish the file: chunks of the same entity are joined, so that viewers open it at once."""
-        self._stream.flush()
-        self._stream.disconnect()
+        """Finish the file: chunks of the same entity are joined, so that viewers open it at once.
+
+        Raises:
+            ToolkitError: what was logged is not all in it.
+        """
+        finish(self._stream, self.path)
         if self.path is not None:
             compact(self.path)
+
+
+def lost(path: Path | None, why: str) -> ToolkitError:
+    """The sentence on a recording that is not whole."""
+    where = "the viewer takes no more" if path is None else f"recording {path} is cut off"
+    return ToolkitError(f"{where} ({why[:100]}); free space there and make it anew, a run's with `meta-evolve view RUN --rebuild`")
+
+
+def finish(stream: rr.RecordingStream, path: Path | None) -> None:
+    """Write what is still on its way, and look whether the file is whole: rerun only prints that a disk was full.
+
+    Raises:
+        ToolkitError: it is not.
+    """
+    why = ""
+    try:
+        stream.flush(timeout_sec=PATIENCE)
+        stream.disconnect()
+    except RuntimeError as error:
+        why = str(error)
+    if path is not None and not why:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # a file without its end is warned of
+                RrdReader(path)
+        except (RuntimeError, ValueError, OSError, Warning) as error:
+            why = " ".join(str(error).split())
+    if why:
+        raise lost(path, why)
 
 
 def compact(path: Path) -> None:
     """Join a recording's chunks in place; if that fails the recording stays as it is."""
     temporary = path.with_name(f".{path.name}.tmp")
     command = [str(viewer_program()), "rrd", "optimize", str(path), "-o", str(temporary), "--max-rows", "100000", "--max-size", "64MiB"]
-    answer = subprocess.run(command, capture_output=True, check=False)
-    if answer.returncode == 0 and temporary.exists():
-        os.replace(temporary, path)
-    temporary.unlink(missing_ok=True)
+    try:
+        if subprocess.run(command, capture_output=True, check=False, timeout=LONGEST).returncode == 0 and temporary.exists():
+            os.replace(temporary, path)
+    except (OSError, subprocess.TimeoutExpired):
+        pass
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def duration(seconds: float | np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from rerun.chunk import Chunk, RrdReader
 from toolkit.errors import ToolkitError
 from toolkit.quoting import told
 from toolkit.recording.programs import viewer_program
-from toolkit.recording.stream import FILM
+from toolkit.recording.stream import FILM, LONGEST
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -182,6 +182,8 @@ def reader_of(path: Path) -> RrdReader:
         if mark[:3] == b"RRF":
             raise _unreadable(path, "was written by an old version of Rerun")
         raise ToolkitError(f"{path} is not a Rerun recording; give an .rrd file written by `meta-evolve transfer`")
+    if _ends_its_reader(path):
+        raise _unreadable(path, "is damaged, so that its reader breaks down")
     try:
         with warnings.catch_warnings():  # a running or killed transfer's file has no footer, and reads well without
             warnings.simplefilter("ignore")
@@ -204,6 +206,16 @@ def chunks_of(path: Path) -> Iterator[Chunk]:
         yield from reader_of(path).stream()
     except UNREADABLE as error:
         raise _unreadable(path, _why(error)) from None
+
+
+def _ends_its_reader(path: Path) -> bool:
+    """Whether a file makes rerun's reader end its process, as some damage does: asked of the viewer's program, in one of its own."""
+    command = [str(viewer_program()), "rrd", "verify", str(path)]
+    try:
+        status = subprocess.run(command, capture_output=True, check=False, timeout=LONGEST).returncode
+    except subprocess.TimeoutExpired:
+        return True
+    return status not in (0, 1)  # 1 is a complaint, as of a running transfer's missing end, which the reader here does not mind
 
 
 UNREADABLE = (RuntimeError, ValueError, TypeError, OSError, MemoryError)

@@ -17,7 +17,7 @@ from toolkit.phases import Phase, load_phases
 from toolkit.plan import Plan
 from toolkit.report import figures
 from toolkit.report.stills import Studio
-from toolkit.runs import Run, read_audit, read_report, transfer_records
+from toolkit.runs import Run, read_audit, read_report, transfer_records, write_atomically
 
 STILLS = 8
 """Along each path."""
@@ -61,7 +61,8 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     out = out or folder / "page"
     run = Run.open(folder)
     unread: list[str] = []
-    records, phases, plan, report = transfer_records(run), load_phases(folder, unread.append), Plan(tree), read_report(folder)
+    records, phases, plan = transfer_records(run), load_phases(folder, unread.append), Plan(tree)
+    report = read_report(folder, ("targets", "totals", "wall_s"))
     pictures: dict[str, bytes] = {}
     progress("figures")
     walked = walked_edges(plan, records, phases)
@@ -81,8 +82,8 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, data in pictures.items():
-            (out / f"{name}.png").write_bytes(data)
-        (out / "index.html").write_text(page, encoding="utf-8")
+            write_atomically(out / f"{name}.png", data)
+        write_atomically(out / "index.html", page.encode())
     except OSError as error:
         raise ToolkitError(f"report {out} cannot be written ({error.strerror}); choose another --out") from None
     return out / "index.html"

@@ -110,6 +110,7 @@ class _Engine:
         threads: workers.
         episodes_played: since the start.
         play_seconds: wall time spent playing, since the start [s].
+        trouble: why the dump could not be written; empty if it could, or was not needed.
     """
 
     def __init__(self, threads: int | None, dump: Path | None) -> None:
@@ -119,6 +120,7 @@ class _Engine:
         self._pool = ThreadPoolExecutor(self.threads)
         self._idle: SimpleQueue = SimpleQueue()
         self.episodes_played, self.play_seconds = 0, 0.0
+        self.trouble = ""
 
     def _plant(self, borrowed: Any, alpha: np.ndarray) -> Plant:
         raise NotImplementedError
@@ -155,7 +157,11 @@ class _Engine:
         self.play_seconds += time.perf_counter() - began
         first = next((divergence for _, divergence in played if divergence is not None), None)
         if first is not None and self._dump is not None and not self._dump.exists():
-            first.save(self._dump)
+            try:
+                first.save(self._dump)
+            except OSError as error:  # it only helps to see what happened; the episode is counted all the same
+                self.trouble = f"{self._dump} cannot be written ({error.strerror})"
+                self._dump = None
         return [episode for episode, _ in played]
 
     def close(self) -> None:

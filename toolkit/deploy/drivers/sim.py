@@ -21,12 +21,16 @@ class SimDriver:
     Args:
         host, port: where it listens.
         patience: [s] for the first connection, while the twin still loads its robot.
+
+    Attributes:
+        pace: of the twin, once connected: "real" or "lockstep".
     """
 
     def __init__(self, host: str, port: int, patience: float = 120.0) -> None:
         self.host, self.port, self.patience = host, port, patience
         self._line: wire.Line | None = None
         self._asked, self._gone = 0, ""
+        self.pace = ""
 
     @property
     def where(self) -> str:
@@ -53,6 +57,7 @@ class SimDriver:
                 time.sleep(0.1)
         self._asked, self._gone = 0, ""
         found = self._ask({"do": "describe"})
+        self.pace = str(found.pop("pace", ""))
         try:
             info = ArmInfo(**{key: tuple(value) if isinstance(value, list) else value for key, value in found.items()})
             if not all(isinstance(name, str) for name in (info.robot, *info.joints, *info.fingers)) or not float(info.rate_hz) > 0:
