@@ -78,7 +78,8 @@ def test_the_run_folder_explains_the_run(played, job):
     phases = {f"phases/{name}.safetensors" for name in load_phases(folder)}
     assert any("evolve" in name for name in phases) and any("settle" in name for name in phases)
     assert files - phases == {
-        "audit.json", "config.json", "versions.json", "git.json", "tree.json", "untrained.json", "metrics.jsonl", "report.json", "summary.md",
+        "audit.json", "config.json", "versions.json", "git.json", "tree.json", "untrained.json", "metrics.jsonl", "report.json",
+        "summary.md",
         "recording.rrd", f"{TARGET}.policy.safetensors", "checkpoints/transfer.safetensors",
     }  # fmt: skip
     content = json.loads((folder / "config.json").read_text())

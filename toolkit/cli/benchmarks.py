@@ -47,7 +47,8 @@ class Entry:
 
 
 CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
-HANDS = Entry(expert=f"adroit-{TASK}-wide-recordings", exploration=0.15, episodes=60)
+HANDS = Entry(expert=f"adroit-{TASK}-wide-recordings", exploration=0.15, episodes=60, learner="npg")
+FOUND = replace(HANDS, exploration=None, learner="search", targets=TARGETS, episodes=200)
 ALONE = replace(HANDS, kind="independent")
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
 COARSE = 0.3
@@ -77,6 +78,10 @@ SUITES: dict[str, dict[str, Entry]] = {
         "hands-twins-0": replace(HANDS, targets=("kinova3", "ur5e")),
         "hands-jaws-0": replace(HANDS, targets=("kinova3", "ur5e", "iiwa")),
         "hands-direct-0": replace(HANDS, kind="direct", budget=2_200, targets=("kinova3",)),
+        # The same expert, by exploration held for an episode.
+        **{f"found-tree-{seed}": replace(FOUND, seed=seed) for seed in range(3)},
+        **{f"found-independent-{seed}": replace(FOUND, seed=seed, kind="independent") for seed in range(3)},
+        "found-direct-0": replace(FOUND, kind="direct", budget=1_000),
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
         "six-independent-0": Entry(targets=SIX, kind="independent"),
