@@ -110,7 +110,9 @@ def test_the_report_counts_what_was_watched(played):
     assert report["sim_epochs"] == {"path 1": updates * batch} and report["totals"]["sim_epochs"] <= CONFIG.path_budget
     assert report["check_episodes"] == {"path 1": checked}
     on_disk = [record["event"] for record in Run.open(folder).read_metrics()]
-    assert on_disk == [record["event"] for record in watched if record["event"] not in ("preparing", "untrained", "evaluating", "recorded")]
+    around = ("preparing", "audited", "untrained", "evaluating", "recorded")
+    assert on_disk == [record["event"] for record in watched if record["event"] not in around]
+    assert next(record for record in watched if record["event"] == "audited")["verdict"] == report["audit"]
     spent = [record for record in watched if record["event"] == "budget"]
     held = [record for record in watched if record["event"] in ("check", "look")][-1]["held"]
     assert held or spent, "the path ended without success, and did not say that its budget was spent"
