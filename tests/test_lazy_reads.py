@@ -83,7 +83,8 @@ TEXTS = ("[]", "{}", "null", "3", '"x"', "{", '{"targets": {"a": []}}', '{"targe
 def test_a_run_with_a_file_that_says_something_else(tmp_path, capsys, name, text):
     run = _run_of(tmp_path)
     (run.path / f"{name}.json").write_text(text)
-    found, broken = finished_runs(tmp_path)
+    broken = []
+    found = finished_runs(tmp_path, broken.append)
     if (name, text) == ("git", "null"):
         assert found[0].commit == "unknown"
         return

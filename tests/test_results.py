@@ -71,7 +71,7 @@ def test_json_says_what_the_page_says(tmp_path):
     for name, seed, epochs, successes, kind in (("tree-0", 0, 1001, 187, "steiner"), ("tree-1", 1, 2002, 163, "steiner"),
                                                 ("alone-0", 0, 4111, 151, "independent")):  # fmt: skip
         finished(suite, name, seed, epochs, successes, kind)
-    found = json.loads(json.dumps(results_json(finished_runs(suite)[0])))
+    found = json.loads(json.dumps(results_json(finished_runs(suite))))
     alone, tree = found["rows"]
     assert (tree["method"], tree["task"], tree["seeds"]) == ("tree, L1, adaptive step", "061_foam_brick", 2)
     assert tree["targets"] == ["left", "right"]
@@ -92,7 +92,7 @@ def test_learners_are_not_mixed(tmp_path):
     path = finished(suite, "alone-0", 0, 4111, 151, kind="independent")
     report = json.loads((path / "report.json").read_text())
     (path / "report.json").write_text(json.dumps(report | {"learner": "search"}))
-    found = results_json(finished_runs(suite)[0])
+    found = results_json(finished_runs(suite))
     assert found["ratios"] == [] and {row["method"] for row in found["rows"]} == {
         "tree, L1, adaptive step", "independent, adaptive step, search"}  # fmt: skip
 

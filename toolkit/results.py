@@ -7,7 +7,7 @@
 No number is typed: all come from report.json, tree.json and metrics.jsonl, but for the paper's own, which are cited.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,17 +113,17 @@ def read_result(folder: Path) -> Result | None:
     return Result(folder.name, run.config, report, read_tree(folder), transfer_records(run), run.commit())
 
 
-def finished_runs(folder: Path) -> tuple[list[Result], list[str]]:
-    """All runs of a suite's folder that have finished, by name, and a sentence for each that cannot be read."""
-    found, broken = [], []
+def finished_runs(folder: Path, tell: Callable[[str], None] = lambda why: None) -> list[Result]:
+    """All runs of a suite's folder that have finished, by name; ``tell`` is called with a sentence for each that cannot be read."""
+    found = []
     for path in sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []:
         try:
             result = read_result(path)
         except ToolkitError as error:
-            broken.append(str(error))
+            tell(str(error))
             continue
         found += [] if result is None else [result]
-    return found, broken
+    return found
 
 
 def write_results(folder: Path, title: str, command: str) -> Path:
@@ -140,7 +140,8 @@ def write_results(folder: Path, title: str, command: str) -> Path:
     Raises:
         ToolkitError: no run in the folder has finished.
     """
-    runs, broken = finished_runs(folder)
+    broken: list[str] = []
+    runs = finished_runs(folder, broken.append)
     if not runs:
         more = f" ({broken[0]})" if broken else ""
         raise ToolkitError(f"{folder} holds no finished run{more}; play the suite with: {command}")

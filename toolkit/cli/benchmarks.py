@@ -137,7 +137,8 @@ def bench_transfer(
 
     command = told("bench", "transfer", "--suite", suite)
     page = write_results(out, "Results on unmodified robosuite robots", command)
-    runs, broken = finished_runs(out)
+    broken: list[str] = []
+    runs = finished_runs(out, broken.append)
     emit(results_json(runs) if json else None, json, f"{page}: the table and its pictures")
     trouble = [f"{name} did not finish: {why}" for name, why in failed.items()] + [f"left out of the page: {why}" for why in broken]
     if trouble:

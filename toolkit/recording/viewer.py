@@ -46,7 +46,8 @@ def recording_of(path: Path) -> Path:
     if not file.exists():
         hint = "; make it with --rebuild" if (path / "config.json").exists() else ""
         raise ToolkitError(f"no recording at {file}{hint or '; give an .rrd file, or the folder of a run that records'}")
-    next(chunks_of(file), None)  # what cannot be read further on is said here, not by the viewer
+    for _ in chunks_of(file):  # what cannot be read further on is said here, not by the viewer
+        pass
     return file
 
 
