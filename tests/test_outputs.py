@@ -167,17 +167,22 @@ def test_a_dump_that_cannot_be_written_costs_no_episode(tmp_path, merged):
 def test_a_tree_is_printed_whatever_becomes_of_its_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.json").write_text(POINTS)
+
+    def full(tree, path):
+        raise ToolkitError(f"the plot cannot be written to {path} (No space left on device)")
+
+    monkeypatch.setattr("toolkit.evolution.plot_tree", full)
     for json_wanted in ([], ["--json"]):
         with pytest.raises(SystemExit) as stop:
-            main(["tree", "--points", "p.json", "--plot", "tree.nosuch", *json_wanted])
+            main(["tree", "--points", "p.json", "--plot", "tree.png", *json_wanted])
         out, err = capsys.readouterr()
-        assert stop.value.code == 2 and ("Length" in out or json.loads(out)["edges"]) and "tree.nosuch" in err
+        assert stop.value.code == 2 and ("Length" in out or json.loads(out)["edges"]) and "tree.png" in err
 
 
 @pytest.mark.parametrize("command", [
     ("tree", "--points", "p.json", "--plot"), ("match", "--plot"), ("bench", "walk", "--plot"), ("bench", "engine", "--page"),
 ])  # fmt: skip
-@pytest.mark.parametrize("place", ["nosuch/a.png", "noending", "folder.png"])
+@pytest.mark.parametrize("place", ["nosuch/a.png", "noending", "folder.png", "a.nosuch"])
 def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(tmp_path, monkeypatch, capsys, command, place):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.json").write_text(POINTS)

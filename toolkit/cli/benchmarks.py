@@ -195,7 +195,7 @@ def bench_engine(
 
     if episodes < 0 or rounds < 1:
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
-    room_for(page)
+    room_for(page, (".md", ".markdown", ".txt"))
     systems = [find_robot(name) for name in (robots or ROBOTS)]
     from toolkit.expert import load_expert
     from toolkit.speed import measure_engine, performance_page

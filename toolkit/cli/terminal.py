@@ -11,6 +11,9 @@ from typing import Any, TextIO
 from toolkit.errors import ToolkitError
 from toolkit.quoting import plain
 
+PICTURES = (".png", ".svg", ".pdf", ".eps", ".ps", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
+"""Endings of pictures that matplotlib writes without anything else installed."""
+
 
 class Outlet:
     """Standard output or error, whose loss ends no command: what is printed once it is lost is dropped.
@@ -95,16 +98,16 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
     console.print(table)
 
 
-def room_for(file: Path | None) -> None:
+def room_for(file: Path | None, endings: Sequence[str] = PICTURES) -> None:
     """Refuse a picture's or page's place before the work, not after it, if nothing can be written there.
 
     Raises:
-        ToolkitError: its folder is missing or not writable, it is a folder itself, or its name has no ending.
+        ToolkitError: its folder is missing or not writable, it is a folder itself, or its name has another ending.
     """
     if file is None:
         return
-    if not file.suffix or file.is_dir():
-        raise ToolkitError(f"{file} names no file with an ending such as .png; choose another one")
+    if file.suffix.lower() not in endings or file.is_dir():
+        raise ToolkitError(f"the plot cannot be written to {file}; name a {' or '.join(endings[:2])} file")
     if not file.parent.is_dir() or not os.access(file.parent, os.W_OK):
         raise ToolkitError(f"{file} cannot be written: {file.parent} is no folder, or not yours to write to; choose another one")
 
