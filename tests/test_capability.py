@@ -223,10 +223,11 @@ def test_the_motors_move_evenly(lab, seed, share):
     for at in (share, share + 1e-3):
         alpha = one + at * (other - one)
         p = lab.merged.write(alpha, model, data)
-        found.append(lab.merged.law.motors(alpha, p, model, data))
-    pull = np.abs(found[1].closed * found[1].stiffness - found[0].closed * found[0].stiffness)
+        found.append((lab.merged.law.motors(alpha, p, model, data), p.gain))
+    (before, gain), (after, other_gain) = found
+    pull = np.abs(after.closed * other_gain - before.closed * gain)
     assert pull.max() < 0.8, pull
-    assert (np.abs(found[1].limit - found[0].limit) / np.maximum(found[0].limit, 0.5)).max() < 0.8
+    assert (np.abs(after.limit - before.limit) / np.maximum(before.limit, 0.5)).max() < 0.8
 
 
 def test_the_static_model_is_mujoco_s_own(merged, space):

@@ -388,7 +388,7 @@ class MergedRobot:
         self._shape_bounds, self._bone_bounds = self._bounds(model, self._shape), self._bounds(model, self._bone)
         self._arm_actuator = _span([model.actuator(s.name).id for s in slots[: self._arm]])
         self._finger_actuator = _span([model.actuator(slots[i].name).id for i in self.driven])
-        self._finger_dofs, self._finger_joints = dof[self.driven], np.array(joint)[self.driven]
+        self._finger_joints = np.array(joint)[self.driven]
         self._grasp = model.site("grasp").id
         couplings = self.space.coupling_slots
         tendon = np.array([model.tendon(c.name).id for c in couplings], int)
@@ -433,10 +433,7 @@ class MergedRobot:
         if self.law is None:  # being measured on, for the law that it will have
             return np.stack([p.start_target, p.start_target], axis=1)
         motors = self.law.motors(alpha, p, model, data)
-        model.actuator_gainprm[self._finger_actuator, 0] = motors.stiffness
-        model.actuator_biasprm[self._finger_actuator, 1] = -motors.stiffness
         model.actuator_forcerange[self._finger_actuator] = motors.limit[:, None] * BOTH_WAYS
-        model.dof_damping[self._finger_dofs] = p.damping[self.driven] + motors.damping
         model.jnt_range[self._finger_joints] = motors.range
         return linear_targets(p.start_target, motors.closed, p.preshape)
 

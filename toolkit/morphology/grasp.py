@@ -25,11 +25,6 @@ from toolkit.morphology.space import EvolutionSpace
 
 MAIN_ROLES = ("FFS", "FFJ2", "MFJ2", "RFJ2", "LFJ2", "THS", "THJ4")
 """Joints whose motors close a finger and may stall; the finger's other joints hold its shape."""
-OVERDRIVE = {False: 0.1, True: 0.005}
-"""How far [rad, m for a slide] the closing target of a main joint lies behind the posture in which its motor stalls, at least,
-away from the robots: so the grip does not depend on where exactly the finger meets the object."""
-NEAR = 0.1
-"""Distance (largest difference of a finger's alphas) from the nearest robot at which OVERDRIVE is whole."""
 PRESSING = 2.0
 """Pressure [N] from which a finger must touch the box, though at one robot it does not."""
 HALF = np.array([BOX_HALF_SIZE[0], BOX_WIDTH / 2, BOX_HALF_SIZE[2]])
@@ -38,13 +33,9 @@ SIDEWAYS = np.ascontiguousarray(START_ROTATION[:, 1])
 """Axis (3,) about which pads pitch, world."""
 STRONGEST = 3.0
 """Torque [N m, N] that every finger motor may be given: as much as ADROIT's. More, only where a robot has more."""
-LEEWAY, LEAVING = 0.1, 0.1
-"""How far [rad] a joint's limits lie beyond the posture on the box, and from which share of NEAR on."""
-HOLD = 1.0
-"""Stiffness [N m/rad] added to the actuators of a finger's other joints away from the robots, so that its shape is held also between
-two linkages, whose pads have no motors: as stiff as ADROIT's own servos."""
-DAMPING = 0.05
-"""Damping [N m s/rad] added with it: ADROIT's own."""
+LEEWAY, LEAVING = 0.1, 0.01
+"""How far [rad] a joint's limits lie beyond the posture on the box, and the distance from the nearest robot (largest difference of a
+finger's alphas) from which on they do."""
 HEADROOM = 1.5
 """Share of the torque on the box that a joint's motor can give, at least, where it does not stall."""
 TOUCH = 0.05
@@ -77,15 +68,11 @@ class Motors:
     Attributes:
         closed: (n,) position targets [rad, m] at the closing command +1.
         limit: (n,) largest torques [N m, N].
-        stiffness: (n,) position gains [N m/rad, N/m].
-        damping: (n,) of the joints, beyond their own [N m s/rad].
         range: (n, 2) limits of the joints [rad, m].
     """
 
     closed: np.ndarray
     limit: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
     range: np.ndarray
 
 
@@ -124,7 +111,6 @@ class GraspLaw:
         self._sliding = np.array([slides(slots[i].name) for i in self.driven])
         # Pads lie on the links that both hands and jaws have; the hand's last phalanx, beyond them, is round.
         self._pitching = np.array([not slides(slots[i].name) and not slots[i].name.endswith("J0") for i in self.driven])
-        self._overdrive = np.array([OVERDRIVE[bool(s)] for s in self._sliding])
         self._dimensions = [
             np.unique([p.dimension for p in space.parameters if p.element == finger]).astype(int) for finger in self.fingers
         ]
@@ -359,10 +345,8 @@ class GraspLaw:
         torque = np.clip(torque, -self._strongest, self._strongest)
         apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
-        away = np.minimum(1.0, nearest / NEAR)[self._finger_of]
-        stiffness = p.gain + np.where(self._main, 0.0, HOLD * away)
-        excess = stiffness * np.maximum(beyond, away * self._overdrive * self._main)
-        slack = slack * (1.0 - away)
+        away = np.minimum(1.0, nearest / LEAVING)[self._finger_of]
+        stiffness, excess = p.gain, p.gain * beyond
         shared = np.minimum(excess, slack)
         excess, slack = excess - shared + both, slack - shared + both
         closed = angles + (torque + np.where(self._main, excess, 0.0)) / np.maximum(stiffness, WEAKEST)
@@ -372,7 +356,5 @@ class GraspLaw:
         return Motors(
             closed=np.where(stiffness > WEAKEST, closed, p.start_target),
             limit=np.maximum(np.where(self._main, np.abs(torque) + slack, np.maximum(most, HEADROOM * np.abs(torque))), FEEBLE),
-            stiffness=stiffness,
-            damping=np.where(self._main, 0.0, DAMPING * away),
-            range=own + np.minimum(1.0, away / LEAVING)[:, None] * (wide - own),
+            range=own + away[:, None] * (wide - own),
         )
