@@ -127,8 +127,8 @@ def test_no_two_purposes_share_seeds():
         for name, value in named.findall(file.read_text())
     }
     assert found.pop(("runtime", "EVALUATION_SEEDS")) == found.pop(("evaluation", "EVALUATION_SEEDS")) == EVALUATION_SEEDS
-    assert found.pop(("transfer", "TRAINING_SEEDS")) == BLOCK, "training's seeds are the first million"
-    assert {("expert", "EXPERT_SEEDS"), ("expert", "VISIT_SEEDS"), ("transfer", "DEMONSTRATION_SEEDS")} <= found.keys()
+    assert found.pop(("settings", "TRAINING_SEEDS")) == BLOCK, "training's seeds are the first million"
+    assert {("expert", "EXPERT_SEEDS"), ("expert", "VISIT_SEEDS"), ("settings", "DEMONSTRATION_SEEDS")} <= found.keys()
     blocks = {name: divmod(first, BLOCK) for name, first in found.items()}
     assert len({block for block, _ in blocks.values()}) == len(blocks) and all(rest == 0 for _, rest in blocks.values()), blocks
     assert all(0 < block and (block + 1) * BLOCK <= EVALUATION_SEEDS for block, _ in blocks.values()), blocks

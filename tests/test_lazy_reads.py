@@ -126,7 +126,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
 
             return read_tree(run.path)
 
-    monkeypatch.setattr(inspection, "_known", lambda folder: Known())
+    monkeypatch.setattr(inspection, "known_run", lambda folder: Known())
     (run.path / file).write_text(text)
     with pytest.raises(SystemExit) as stop:
         main([command[0], str(run.path), *command[1:]])

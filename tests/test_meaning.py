@@ -189,7 +189,7 @@ def test_a_quaternion_that_stops_being_one_holds_the_arm(bundle, quaternion):
 
 @pytest.mark.parametrize("opening, kind, said", [
     (lambda o, m: 100 * o, "implausible", "percentage"), (lambda o, m: 1000 * m, "implausible", "millimetres"),
-    (lambda o, m: m, "start_pose", "neither metres"), (lambda o, m: 0.0, "start_pose", "not within 0.15"),
+    (lambda o, m: m, "start_pose", "not metres"), (lambda o, m: 0.0, "start_pose", "not within 0.15"),
     (lambda o, m: -0.2, "implausible", "-0.2"),
     (lambda o, m: float("nan"), "not_finite", "opening is nan"), (lambda o, m: None, "not_finite", "opening is None"),
     (lambda o, m: 0.5 * o, "start_pose", "not within"),

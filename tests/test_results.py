@@ -45,7 +45,7 @@ def test_every_count_of_the_runs_is_on_the_page(tmp_path):
     for count in (187, 163, 151, 199):
         assert f"{count} of 200" in text
     mean, deviation = np.mean([1008, 2009]), np.std([1008, 2009], ddof=1)
-    row = rf"\| tree, L1, adaptive step, to left, right \| 061\\_foam\\_brick \| 2 \| .*\| {mean:.0f} ± {deviation:.0f} \|"
+    row = rf"\| tree, L1, adaptive step, to left, right \| 061_foam_brick \| 2 \| .*\| {mean:.0f} ± {deviation:.0f} \|"
     assert re.search(row, text), text
     assert "| alone-0 | path 1: hand to left | 3 | 4111 | 16 |" in text
     assert "make results" in text and str(PAPER["HERD, independent"]["sim_epochs"][0]) in text

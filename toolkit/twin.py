@@ -210,6 +210,8 @@ class Twin:
 
 PATIENCE = 30.0
 """[s] of silence after which a client gives way to a newcomer; one that has not said a sensible word yet does so at once."""
+FAREWELL = 1.0
+"""[s] for which the line to somebody sent away stays open: closed at once, with his words unread, it would take back what he was told."""
 BUSY = "it serves another client; end that one, or start a twin on another port"
 
 
@@ -229,12 +231,15 @@ def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = la
     """
     listener.setblocking(False)
     client: _Client | None = None
+    leaving: list[tuple[float, wire.Line]] = []
     try:
         while not orphaned():
+            while leaving and leaving[0][0] < time.monotonic():
+                leaving.pop(0)[1].close()
             lines = [] if client is None else [client.line]
             reads, writes, _ = select.select([listener, *lines], [line for line in lines if line.waiting], [], twin.catch_up())
             if listener in reads:
-                client = _newcomer(twin, listener, client)
+                client = _newcomer(twin, listener, client, leaving)
             elif client is not None and (reads or writes):
                 try:
                     ended, served = _answer(twin, client)
@@ -248,12 +253,14 @@ def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = la
                     client = None
                     twin.stop("the runtime has gone")
     finally:
-        if client is not None:
-            client.line.close()
+        for line in [line for _, line in leaving] + ([] if client is None else [client.line]):
+            line.close()
 
 
-def _newcomer(twin: Twin, listener: socket.socket, client: _Client | None) -> _Client | None:
-    """Whoever is served once somebody has knocked."""
+def _newcomer(
+    twin: Twin, listener: socket.socket, client: _Client | None, leaving: list[tuple[float, wire.Line]]
+) -> _Client | None:
+    """Whoever is served once somebody has knocked; who is not goes to those that are leaving."""
     try:
         line = wire.Line(listener.accept()[0])
     except OSError:  # gone before the door was opened, or no file is left to open it with
@@ -265,7 +272,7 @@ def _newcomer(twin: Twin, listener: socket.socket, client: _Client | None) -> _C
             twin.stop("the runtime has gone")
         return _Client(line)
     _send_away(line, BUSY)
-    line.close()
+    leaving.append((time.monotonic() + FAREWELL, line))
     return client
 
 

@@ -32,7 +32,7 @@ DELTA_METRES = 0.05
 """[m] of robosuite's OSC_POSE per unit of action."""
 GRASPS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.008), (0.0, 0.0, -0.008), (0.0, 0.008, 0.0), (0.0, -0.008, 0.0))
 """Shifts [m] of the object in the scripted grasp: as scripted, deeper, shallower, and towards either side of the jaws."""
-SCRIPT_SEEDS = 7 * 10**6
+SCRIPT_SEEDS = 8 * 10**6
 """Scripts play starts from this seed on."""
 
 

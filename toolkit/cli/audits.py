@@ -5,6 +5,7 @@ from pathlib import Path
 from toolkit.cli.inspection import known_run
 from toolkit.cli.names import TARGETS, TASK, Kind, Metric, make_lab
 from toolkit.cli.terminal import Progress, emit, table
+from toolkit.errors import ToolkitError
 
 
 def audit(
@@ -39,6 +40,8 @@ def audit(
         plot: draw the audit into this file (PNG, PDF or SVG).
         json: print one JSON object.
     """
+    if robots < 2 or episodes < 0:
+        raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
     from toolkit.capability.audit import QUANTITIES, run_audit, verdict, ways_in, ways_of
 
     with Progress("audit", quiet=json) as progress:
