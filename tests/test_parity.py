@@ -10,8 +10,8 @@ import pytest
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
 from toolkit.morphology import parity as measure
+from toolkit.morphology.matching import CUBE
 from toolkit.morphology.parity import parity, plot_merged_tree
-from toolkit.morphology.space import BOX_TURNS
 
 KEYS = [
     "name", "arm_fk_error_m", "arm_mass_matrix_rel_error", "pad_position_error_m", "pad_angle_error_deg",
@@ -73,7 +73,7 @@ def test_pads_are_as_large_as_the_robots_and_start_where_they_do(merged, name):
     for finger in own.pads:
         got, wanted = (side.plant.model.geom_size[side.pads[finger]] for side in (mine, own))
         # The same solid may be described by other axes of its own: a box in 24 ways, each with its sizes in another order.
-        turn = min(BOX_TURNS.as_matrix(), key=lambda t: np.linalg.norm(poses[1][finger][1] @ t - poses[0][finger][1]))
+        turn = min(CUBE.as_matrix(), key=lambda t: np.linalg.norm(poses[1][finger][1] @ t - poses[0][finger][1]))
         if mine.plant.model.geom_type[mine.pads[finger]] == mujoco.mjtGeom.mjGEOM_BOX:
             np.testing.assert_allclose(got, np.abs(turn.T) @ wanted, rtol=1e-9)
             np.testing.assert_allclose(poses[0][finger][1], poses[1][finger][1] @ turn, atol=1e-6)

@@ -107,7 +107,7 @@ class MergedRobot:
         self.law: GraspLaw | None = None
         self.template = self.compile(space.betas[0])
         self.law = GraspLaw(space, self.driven, self.write, *self.new())
-        self.template = self.compile(space.betas[0])
+        self.become(space.betas[0], self.template, mujoco.MjData(self.template))
 
     def _holds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Spring, damping and armature of each slot when frozen, and the e-folds over which they grow: (n_slots,) each."""

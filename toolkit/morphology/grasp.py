@@ -152,24 +152,17 @@ class GraspLaw:
             mujoco.mju_quat2Mat(row, quat)
         return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_activity[self._carrying]
 
-    def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (n_fingers,) [m] of the fingers from the box, and where they are nearest (n_fingers, 3), on their last links."""
-        gaps, points = np.empty(len(self.fingers)), np.empty((len(self.fingers), 3))
+    def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (n_fingers,) [m] of the fingers from the box; heights (n_fingers,) [m], world, of where they are nearest; and where
+        that is on their last links (n_fingers, 3), at the start posture."""
+        (gaps, heights), points = np.empty((2, len(self.fingers))), np.empty((len(self.fingers), 3))
         solids = self._solids(p)
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
             gaps[f], where, _, _ = gap_of(
                 turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)  # fmt: skip
-            points[f] = turns[-1].T @ (where - shifts[-1])
-        return gaps, points
-
-    def _height(self, p: Patch, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Heights (n_fingers,) [m], world, of points (n_fingers, 3) on the last links."""
-        out = np.empty(len(self.fingers))
-        for f, chain in enumerate(self._chain):
-            turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
-            out[f] = (turns[-1] @ points[f] + shifts[-1])[2]
-        return out
+            heights[f], points[f] = where[2], turns[-1].T @ (where - shifts[-1])
+        return gaps, heights, points
 
     def _meeting(
         self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray
@@ -239,14 +232,13 @@ class GraspLaw:
         force = np.array([grasp.force for grasp in self.grasps])
         point = np.array([grasp.point for grasp in self.grasps])
         rows = np.zeros((robots, 4, count))
-        required, off = np.zeros((robots, count)), np.zeros((robots, len(self.fingers), 3))
+        motors, off = np.zeros((robots, count)), np.zeros((robots, len(self.fingers), 3))
         gaps, heights = np.zeros((2, robots, len(self.fingers)))
         for robot, beta in enumerate(space.betas):
             p = write(beta, model, data)
             angles[robot] *= 1.0 - p.freeze[self.driven]  # what sags in a frozen joint is no posture
-            gaps[robot], nearest = self._nearest(p, angles[robot])
+            gaps[robot], heights[robot], nearest = self._nearest(p, angles[robot])
             nearest = np.where(self._presses[:, None], nearest, p.anchor[self._tips])
-            heights[robot] = self._height(p, angles[robot], nearest)
             off[robot] = (point[robot] - nearest) * (force[robot] > 0)[:, None]
             stiffness, limit = p.gain, self._own_limit[robot]
             wanted = stiffness * (self._own_closed[robot] - angles[robot])
@@ -254,14 +246,14 @@ class GraspLaw:
             beyond = np.where(self._main & (stiffness > WEAKEST), wanted - own, 0.0)
             slack = np.where(self._main, limit - own, 0.0)
             needed = self._needed(model, data, p, angles[robot], force[robot], nearest + off[robot])
-            required[robot] = needed
+            motors[robot] = own
             rows[robot] = own - needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
         each = np.arange(len(self.fingers))
         # A finger's height is told by the robots whose finger presses; the others' is nobody's concern.
         pressing = force > 0
         known = np.where(pressing.any(axis=0), (heights * pressing).sum(axis=0) / np.maximum(pressing.sum(axis=0), 1), heights.mean(axis=0))
         heights = np.where(pressing, heights, known)
-        self._strongest = np.maximum(np.abs(rows[:, 0] + required).max(axis=0), STRONGEST)
+        self._strongest = np.maximum(np.abs(motors).max(axis=0), STRONGEST)
         blocks = [
             ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
             ("off", off.reshape(robots, -1), np.repeat(each, 3)),

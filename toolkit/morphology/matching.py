@@ -41,7 +41,7 @@ UNLIMITED_LENGTH = 10.0
 SMALL_TO_AIR = 0.02
 """Area [m^2] that is nothing to the air: 3 mN at half a metre per second."""
 CUBE = Rotation.create_group("O")
-"""Turns that leave a cube as it was."""
+"""Turns that leave a cube as it was, and a box a box, its edges renamed."""
 EQUAL_MOMENTS, TELLING_MOMENTS = 1e-6, 1e-7
 """Principal moments within so much of each other, relatively, get a difference of so much along their body's own axes."""
 BASE_SITE = "robot0_right_center"

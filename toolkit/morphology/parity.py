@@ -19,10 +19,9 @@ from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, become_box, clamp, jaws_meet
-from toolkit.morphology.matching import Matching, System
+from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, SETTLED, SQUEEZE, become_box, clamp, jaws_meet
+from toolkit.morphology.matching import CUBE, Matching, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
-from toolkit.morphology.space import BOX_TURNS
 from toolkit.quoting import letters
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
 
@@ -34,8 +33,6 @@ SETTLING = 1.0
 """Time [s] at each closing command before pads are compared."""
 WIDTH = 0.05
 """Width [m] of the box for the pad force, between the pads."""
-SQUEEZE, AVERAGED = 1.5, 0.1
-"""Time [s] from the full closing command to the pad force, and the last part of it over which the force is averaged."""
 NEARLY, PARTS, WAITING = 0.9, 5, 10
 """Share of the way that counts as closed; samples per policy step; policy steps that a lagging finger is given at the end."""
 PAD_FINGERS = ("FF", "TH", "RF")
@@ -253,7 +250,7 @@ def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
             (p, P), (q, Q) = poses[0][finger], poses[1][finger]
             position = max(position, float(np.linalg.norm(p - q)))
             # The merged robot may describe the same solid by other axes of its own.
-            apart = min(np.linalg.norm(P - Q @ turn) for turn in BOX_TURNS.as_matrix())
+            apart = min(np.linalg.norm(P - Q @ turn) for turn in CUBE.as_matrix())
             # Stable for tiny angles, where the arc cosine of the trace is not.
             angle = max(angle, float(np.rad2deg(2.0 * np.arcsin(min(1.0, apart / np.sqrt(8.0))))))
     return position, angle
@@ -273,9 +270,9 @@ def squeeze(side: Side, width: float = WIDTH) -> float:
     start = side.plant.law.preshape
     for command in np.linspace(start, 1.0, CLOSING_STEPS + 1)[1:]:
         side.close_to(model, data, command, CLOSING_STEP)
-    side.close_to(model, data, 1.0, SQUEEZE - AVERAGED)
+    side.close_to(model, data, 1.0, SQUEEZE - SETTLED)
     samples = []
-    for _ in range(int(round(AVERAGED / model.opt.timestep))):
+    for _ in range(int(round(SETTLED / model.opt.timestep))):
         mujoco.mj_step(model, data)
         samples.append(_force_on(model, data, side.item))
     return float(np.mean(samples))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
-from toolkit.morphology.matching import UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
+from toolkit.morphology.matching import CUBE, UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
 
 FROZEN_STIFFNESS = 200.0
 """Spring [N m/rad] that holds a frozen joint: 0.1 N m at a fingertip moves it by half a milliradian."""
@@ -47,8 +47,6 @@ gripper close in the same time when told to close at once."""
 
 CLOSING = START_ROTATION[:, 0]
 """Direction in which the fingers close, world; the thumb closes against it."""
-BOX_TURNS = Rotation.create_group("O")
-"""Turns that leave a box a box, its edges renamed."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ def _aligned(shape: Shape, reference: np.ndarray) -> Shape:
     tumble and swell on its way, though the two solids hardly differ.
     """
     if shape.kind == mujoco.mjtGeom.mjGEOM_BOX:
-        turns = BOX_TURNS.as_matrix()
+        turns = CUBE.as_matrix()
         best = turns[int(np.argmax(np.einsum("ij,ik,nkj->n", reference, shape.rotation, turns)))]  # the largest trace
         return replace(shape, rotation=shape.rotation @ best, size=np.abs(best.T) @ shape.size)
     if shape.kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
