@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from grippers.gripper import COMMANDED_ROLES
 from tasks.pick import ACTION_SIZE, START_POSITION, START_ROTATION
 from toolkit.demonstrations import PickScript, pick_script
 from toolkit.morphology.build import HAND_BIT, MergedRobot
@@ -32,6 +33,8 @@ DELTA_METRES = 0.05
 """[m] of robosuite's OSC_POSE per unit of action."""
 GRASPS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.008), (0.0, 0.0, -0.008), (0.0, 0.008, 0.0), (0.0, -0.008, 0.0))
 """Shifts [m] of the object in the scripted grasp: as scripted, deeper, shallower, and towards either side of the jaws."""
+LIFTS = (0.2, 0.8)
+"""Closing progress from which it lifts: as scripted, and patiently, for fingers that come late."""
 SCRIPT_SEEDS = 8 * 10**6
 """Scripts play starts from this seed on."""
 
@@ -158,7 +161,10 @@ class Bench:
     def squeeze(self, plant: Plant, width: float) -> tuple[Squeeze, tuple[mujoco.MjModel, mujoco.MjData]]:
         """Forces on a fixed box ``width`` [m] wide, averaged, and the bench with the gripper closed on it."""
         law = plant.law
-        targets = np.stack([law.opened, law.closed], axis=1)
+
+        def targets(command: float) -> np.ndarray:
+            return law.targets(np.full(len(COMMANDED_ROLES), command))
+
         model, data = closed_on_box(plant.model, plant.start, self._arm, self._item, self._fingers, targets, law.preshape, width)
         samples = int(round(SETTLED / model.opt.timestep))
         rows = np.zeros((samples, 9))
@@ -189,7 +195,7 @@ class Bench:
         if grip < NOTHING:
             return None
         law = plant.law
-        model, data = closed_on_box(plant.model, plant.start, self._arm, self._item, self._fingers, np.zeros((len(self._fingers), 2)),
+        model, data = closed_on_box(plant.model, plant.start, self._arm, self._item, self._fingers, np.zeros,
                                     law.preshape, self.width, steps=0)  # fmt: skip
         state, close = np.full(plant.command.shape, law.preshape), np.ones(plant.command.shape)
         for step in range(LONGEST):
@@ -251,10 +257,11 @@ class Bench:
         best = 0.0
         for shift in GRASPS:
             grasp = tuple(np.add(base.object_from_grasp, shift))
-            held = self._held(alpha, replace(base, object_from_grasp=grasp), episodes, best)
-            best = max(best, held)
-            if best == 1.0:
-                break
+            for patience in LIFTS:
+                held = self._held(alpha, replace(base, object_from_grasp=grasp, lift_from=patience), episodes, best)
+                best = max(best, held)
+                if best == 1.0:
+                    return best
         return best
 
     def _held(self, alpha: np.ndarray, script: PickScript, episodes: int, best: float) -> float:

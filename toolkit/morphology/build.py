@@ -20,7 +20,7 @@ from tasks.pick import (
 )
 from toolkit.errors import ToolkitError
 from toolkit.morphology.arithmetic import bones, directions, finger_tips, principal, quaternion, turned
-from toolkit.morphology.grasp import GraspLaw, linear_targets
+from toolkit.morphology.grasp import Course, GraspLaw
 from toolkit.morphology.patch import Patch
 from toolkit.morphology.space import (
     FREEZE_DECADES,
@@ -172,6 +172,7 @@ class MergedRobot:
             gain=theta["stiffness"][self.driven, 0],
             start_target=theta["start_target"][self.driven, 0],
             preshape=float(theta["preshape"][0, 0]),
+            rate=float(10.0 ** theta["log_rate"][0, 0]),
             shape_pos=theta["shape_position"] - anchors[self._shape_slot],
             shape_quat=turned(theta["shape_rotation"], self._shape_reference),
             shape_size=size,
@@ -417,25 +418,27 @@ class MergedRobot:
         model = copy.copy(self.template)
         return model, mujoco.MjData(model)
 
-    def become(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    def become(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Course:
         """F(alpha) in place: patch ``model`` (from ``new``) and recompute its derived constants; ``data`` is reset.
 
         Returns:
-            (n_driven, 2) position targets [rad, m] of the finger actuators at the closing commands -1 and +1.
+            the finger actuators' position targets (n_driven,) over the closing command.
         """
         p = self.write(alpha, model, data)
         targets = self._set_motors(alpha, p, model, data)
         mujoco.mj_resetData(model, data)
         return targets
 
-    def _set_motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-        """Strengths of the finger actuators into ``model``; returns their targets (n_driven, 2), open and closed."""
+    def _set_motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> Course:
+        """Strengths of the finger actuators into ``model``; returns their targets (n_driven,) over the closing command."""
         if self.law is None:  # being measured on, for the law that it will have
-            return np.stack([p.start_target, p.start_target], axis=1)
+            return Course.straight(p.start_target, p.start_target)
         motors = self.law.motors(alpha, p, model, data)
         model.actuator_forcerange[self._finger_actuator] = motors.limit[:, None] * BOTH_WAYS
         model.jnt_range[self._finger_joints] = motors.range
-        return linear_targets(p.start_target, motors.closed, p.preshape)
+        model.actuator_gainprm[self._finger_actuator, 0] = motors.gain
+        model.actuator_biasprm[self._finger_actuator, 1] = -motors.gain
+        return motors.course
 
     def write(self, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Patch:
         """All of F(alpha) but the strengths of the finger actuators, in place; returns what was written."""

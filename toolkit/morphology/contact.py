@@ -12,9 +12,10 @@ ENOUGH = 1e-7
 """Change [rad] of every joint in one of them from which on there is nothing left to do."""
 STEP = 0.3
 """Largest change [rad] of a joint in one of them."""
-GAP, HEIGHT, PITCH, STAY = 1e3, 1e2, 8.0, 1.0
-"""Weights of a gap [1/m], a height [1/m], a pitch and a joint's departure from the guess [1/rad]: a finger meets the box first of
-all, then at the right height and with its pad as flat as meant, and moves no more than that asks."""
+GAP, TILT, HEIGHT, PITCH, STAY = 1e3, 30.0, 1e2, 8.0, 1.0
+"""Weights of a gap [1/m], a pad's tilt [1/rad], a height [1/m], a round fingertip's pitch and a joint's departure from the guess
+[1/rad]: a finger meets the box first of all, then with its pad as flat as meant, then at the right height, and moves no more than
+that asks. A pad that leans by 10 degrees touches with an edge, 20 mm from its middle."""
 FROZEN = 30.0
 """Weight of the departure of a joint that the robot lacks."""
 SLIDE = 20.0
@@ -118,6 +119,29 @@ def gap_of(
 
 
 @numba.njit(cache=True, nogil=True)
+def tilt_of(
+    turns: np.ndarray, mine: np.ndarray, link: np.ndarray, frames: np.ndarray, faces: np.ndarray, shares: np.ndarray,
+    push: np.ndarray, sideways: np.ndarray,
+) -> tuple[float, float]:  # fmt: skip
+    """How far [rad] the faces of a finger's pads lean from the box's, about ``sideways``, and the pads' part in the contact.
+
+    Args:
+        faces: (m,) axis of each shape that points to the box; -1: it is round.  shares: (n,) from ``gap_of``.
+        others: as for ``gap_of`` and ``meet``.
+    """
+    lean, part = 0.0, 0.0
+    for n in range(len(mine)):
+        s = mine[n]
+        if faces[s] >= 0 and shares[n] > 0.0:
+            normal = turns[link[s]] @ np.ascontiguousarray(frames[s][:, faces[s]])
+            if normal @ push < 0.0:
+                normal = -normal
+            lean += shares[n] * np.arctan2(np.cross(push, normal) @ sideways, normal @ push)
+            part += shares[n]
+    return lean / max(part, 1e-9), part
+
+
+@numba.njit(cache=True, nogil=True)
 def levers(
     joints: np.ndarray, finger_of: np.ndarray, sliding: np.ndarray, axes: np.ndarray, anchors: np.ndarray, tips: np.ndarray,
     shifts: np.ndarray, turns: np.ndarray, points: np.ndarray, push: np.ndarray,
@@ -165,14 +189,15 @@ def meet(
     guess: np.ndarray, free: np.ndarray, chain: np.ndarray, anchors: np.ndarray, axes: np.ndarray, sliding: np.ndarray,
     mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
     active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
-    pitching: np.ndarray, gap: float, height: float, minding: float,
+    pitching: np.ndarray, faces: np.ndarray, gap: float, height: float, minding: float, tilt: float,
 ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
-    """One finger near a guess: its gap and the height of its nearest point as asked, its pad pitched as guessed.
+    """One finger near a guess: its gap, the height of its nearest point and the lean of its pads as asked; without pads, its pitch.
 
     Args:
         guess: (n_all,) [rad, m].  free: (n_all,) 1 for a joint, 0 for one that is frozen.
         sideways: (3,) the axis about which a pad pitches.  pitching: (n_all,) bool, joints that turn the pad.
-        gap: [m] to the box.  height: [m], world, of where it is nearest.  minding: share of the weight that this height has.
+        gap: [m] to the box.  height: [m], world, of where it is nearest.  tilt: [rad] of its pads' faces.
+        minding: share of their weight that these two have.  faces: as for ``tilt_of``.
         others: as for ``place`` and ``gap_of``.
 
     Returns:
@@ -180,7 +205,7 @@ def meet(
     """
     count = len(chain)
     angles, change = guess.copy(), np.zeros(count)
-    lower, upper = np.empty((count + 3, count)), np.empty(count + 3)
+    lower, upper = np.empty((count + 4, count)), np.empty(count + 4)
     weight, scale = np.empty(count), np.ones(count)
     for k in range(count):
         weight[k] = STAY + FROZEN * (1.0 - free[chain[k]])
@@ -194,6 +219,8 @@ def meet(
         turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
         miss, where, shares, places = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
         lower[:], upper[:] = 0.0, 0.0
+        lean, part = tilt_of(turns, mine, link, frames, faces, shares, push, sideways)
+        part *= minding * touches
         for k in range(count):
             slide = sliding[chain[k]]
             for n in range(len(mine)):
@@ -201,10 +228,12 @@ def meet(
                     along = now[k] if slide else np.cross(now[k], places[n] - at[k])
                     lower[0, k] -= touches * GAP * shares[n] * (along @ push) / scale[k]
                     lower[1, k] += touches * minding * HEIGHT * shares[n] * (along @ up) / scale[k]
-            lower[2, k] = PITCH * (now[k] @ sideways) if pitching[chain[k]] else 0.0
-            lower[3 + k, k] = weight[k]
+            lower[2, k] = (1.0 - part) * PITCH * (now[k] @ sideways) if pitching[chain[k]] else 0.0
+            lower[3, k] = 0.0 if slide else part * TILT * (now[k] @ sideways)
+            lower[4 + k, k] = weight[k]
             upper[2] += lower[2, k] * change[k]
-            upper[3 + k] = weight[k] * change[k]
+            upper[4 + k] = weight[k] * change[k]
+        upper[3] = part * TILT * (lean - tilt)
         if miss < FAR:
             upper[0], upper[1] = touches * GAP * (miss - gap), touches * minding * HEIGHT * (where[2] - height)
         step = np.linalg.solve(lower.T @ lower, -(lower.T @ upper))

@@ -18,7 +18,7 @@ import numpy as np
 
 from grippers.gripper import slides
 from tasks.pick import START_POSITION, START_ROTATION
-from toolkit.morphology.contact import gap_of, held, levers, meet, place
+from toolkit.morphology.contact import gap_of, held, levers, meet, place, tilt_of
 from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
 from toolkit.morphology.patch import Patch
 from toolkit.morphology.space import EvolutionSpace
@@ -40,6 +40,15 @@ HEADROOM = 1.5
 """Share of the torque on the box that a joint's motor can give, at least, where it does not stall."""
 TOUCH = 0.05
 """Pressure [N] from which a finger counts as touching the box."""
+SHORT = 1e-3
+"""Way [rad, m] from the start to a closed target below which a joint does not close."""
+TOUCHING, RAMP = (0.1, 0.98), 0.02
+"""Shares of that way within which a finger touches the box, and the least that it goes on from there until it presses."""
+LED, FIRM, EASING = 3.0, 0.6, 0.1
+"""Stiffness [N m/rad] and torque [N m] with which a joint that turns by itself at the robots, as a linkage leads a pad, is led to
+where it lies flat; and the distance from the nearest robot (as LEAVING) at which that is whole."""
+PADDED = 0.5
+"""Part of pads in a finger's contact from which on their tilt is the finger's."""
 FEEBLE = 1e-9
 """Torque limit [N m] of an actuator that a robot lacks: MuJoCo refuses none."""
 WEAKEST = 1e-9
@@ -62,27 +71,54 @@ class Grasp:
 
 
 @dataclass(frozen=True)
+class Course:
+    """Position targets over the closing command: straight to where the fingers touch the box, to where they press, and on to the end.
+
+    Attributes:
+        commands: (n, 4) at which the targets turn: -1, touching, pressing, +1.
+        targets: (n, 4) [rad, m] there.
+    """
+
+    commands: np.ndarray
+    targets: np.ndarray
+
+    @classmethod
+    def straight(cls, opened: np.ndarray, closed: np.ndarray) -> "Course":
+        """A robot's own: linear in the command."""
+        ends = np.array([0.0, 1.0, 1.0, 1.0])
+        return cls(np.tile([-1.0, 1.0, 1.0, 1.0], (len(closed), 1)), opened[:, None] + (closed - opened)[:, None] * ends)
+
+    @classmethod
+    def through(cls, start: np.ndarray, ways: Sequence[np.ndarray], shares: Sequence[np.ndarray], preshape: float) -> "Course":
+        """With ``start`` (n,) at the preshape; the three targets ``ways`` after ``shares`` (n,) of the way from there to +1."""
+        touching, first = ways[0], shares[0]
+        opened = start - (touching - start) * (1.0 + preshape) / (first * (1.0 - preshape))
+        turns = [preshape + share * (1.0 - preshape) for share in shares]
+        return cls(np.stack([np.full(len(start), -1.0), *turns], axis=1), np.stack([opened, *ways], axis=1))
+
+    def __call__(self, command: float) -> np.ndarray:
+        """Targets (n,)."""
+        return np.array([np.interp(command, *row) for row in zip(self.commands, self.targets, strict=True)])
+
+
+@dataclass(frozen=True)
 class Motors:
     """What the law makes of the finger actuators and their joints, one entry per driven slot.
 
     Attributes:
-        closed: (n,) position targets [rad, m] at the closing command +1.
+        course: position targets over the closing command.
+        gain: (n,) stiffnesses [N m/rad, N/m].
         limit: (n,) largest torques [N m, N].
         range: (n, 2) limits of the joints [rad, m].
     """
 
-    closed: np.ndarray
+    course: Course
+    gain: np.ndarray
     limit: np.ndarray
     range: np.ndarray
 
 
 Write = Callable[[np.ndarray, mujoco.MjModel, mujoco.MjData], Patch]
-
-
-def linear_targets(start: np.ndarray, closed: np.ndarray, preshape: float) -> np.ndarray:
-    """Position targets (n, 2) at the closing commands -1 and +1: linear in the command, ``start`` (n,) at the preshape."""
-    opened = start - (closed - start) * (1.0 + preshape) / (1.0 - preshape)
-    return np.stack([opened, closed], axis=1)
 
 
 class GraspLaw:
@@ -142,7 +178,19 @@ class GraspLaw:
         self._own_shapes = [np.flatnonzero(finger == f) for f in range(len(self.fingers))]
         self._link = np.array([int(np.flatnonzero(self._chain[f] == index[shapes[k].slot])[0])
                                for k, f in zip(carrying, finger, strict=True)])  # fmt: skip
+        self._faces = self._facing(carrying, finger)
         self._boxes = np.array([shapes[k].kind == mujoco.mjtGeom.mjGEOM_BOX for k in carrying])
+
+    def _facing(self, carrying: Sequence[int], finger: np.ndarray) -> np.ndarray:
+        """Axis of each carrying shape that points to the box when its first owner's gripper is closed on it; -1: it is round."""
+        out, shapes = np.full(len(carrying), -1), self._space.shape_slots
+        for n, (k, f) in enumerate(zip(carrying, finger, strict=True)):
+            shape = shapes[k]
+            if shape.kind == mujoco.mjtGeom.mjGEOM_BOX:
+                first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
+                turned = self._space.turn_at_contact(first, shape.slot) @ shape.owners[first].rotation
+                out[n] = int(np.argmax(np.abs(turned.T @ self._push[f])))
+        return out
 
     def _solids(self, p: Patch) -> tuple[np.ndarray, ...]:
         """Centres, axes, sizes, kinds and how much they touch of the fingers' geoms at the start posture."""
@@ -152,22 +200,24 @@ class GraspLaw:
             mujoco.mju_quat2Mat(row, quat)
         return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_activity[self._carrying]
 
-    def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (n_fingers,) [m] of the fingers from the box; heights (n_fingers,) [m], world, of where they are nearest; and where
-        that is on their last links (n_fingers, 3), at the start posture."""
-        (gaps, heights), points = np.empty((2, len(self.fingers))), np.empty((len(self.fingers), 3))
+    def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (n_fingers,) [m] of the fingers from the box; heights (n_fingers,) [m], world, of where they are nearest; where that
+        is on their last links (n_fingers, 3), at the start posture; and the tilts (n_fingers,) [rad] of their pads, NaN without."""
+        (gaps, heights, tilts), points = np.empty((3, len(self.fingers))), np.empty((len(self.fingers), 3))
         solids = self._solids(p)
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
-            gaps[f], where, _, _ = gap_of(
+            gaps[f], where, shares, _ = gap_of(
                 turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)  # fmt: skip
+            lean, part = tilt_of(turns, self._own_shapes[f], self._link, solids[1], self._faces, shares, self._push[f], SIDEWAYS)
+            tilts[f] = lean if part > PADDED else np.nan
             heights[f], points[f] = where[2], turns[-1].T @ (where - shifts[-1])
-        return gaps, heights, points
+        return gaps, heights, points, tilts
 
     def _meeting(
-        self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray
+        self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray, tilt: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, and as high, as asked; where they
+        """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, as high and as flat as asked; where they
         are nearest (n_fingers, 3), on their last links; and how much of each finger is there to touch (n_fingers,), 0 to 1."""
         out, points, solids, touches = angles.copy(), p.anchor[self._tips], self._solids(p), np.zeros(len(self.fingers))
         free = 1.0 - p.freeze[self.driven]
@@ -176,7 +226,7 @@ class GraspLaw:
                 continue
             out[chain], points[f], touches[f] = meet(
                 angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
-                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, gap[f], height[f], minding[f],
+                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces, gap[f], height[f], minding[f], tilt[f],
             )  # fmt: skip
         return out, points, touches
 
@@ -189,8 +239,9 @@ class GraspLaw:
         actuators = [model.actuator(slots[i].name).id for i in self.driven]
         model.actuator_forcerange[actuators] = np.maximum(self._own_limit[robot], FEEBLE)[:, None] * (-1.0, 1.0)
         arm = [model.joint(slot.name).id for slot in slots[: self._arm]]
-        targets, item = linear_targets(p.start_target, self._own_closed[robot], p.preshape), model.body("object").id
-        bench, data = closed_on_box(model, model.qpos0, arm, item, actuators, targets, p.preshape)
+        own, item = self._own_closed[robot], model.body("object").id
+        course = Course.through(p.start_target, [own] * 3, [np.ones(len(own))] * 3, p.preshape)
+        bench, data = closed_on_box(model, model.qpos0, arm, item, actuators, course, p.preshape)
         force, moment = np.zeros(len(self.fingers)), np.zeros((len(self.fingers), 3))
         angles, samples = np.zeros(len(slots)), int(round(SETTLED / bench.opt.timestep))
         qpos = bench.jnt_qposadr[[bench.joint(slot.name).id for slot in slots]]
@@ -231,13 +282,15 @@ class GraspLaw:
         angles = np.array([grasp.angles[self.driven] for grasp in self.grasps])
         force = np.array([grasp.force for grasp in self.grasps])
         point = np.array([grasp.point for grasp in self.grasps])
-        rows = np.zeros((robots, 4, count))
+        rows, ways, fulls = np.zeros((robots, 4, count)), [], []
         motors, off = np.zeros((robots, count)), np.zeros((robots, len(self.fingers), 3))
-        gaps, heights = np.zeros((2, robots, len(self.fingers)))
+        gaps, heights, shares, tilts = np.zeros((4, robots, len(self.fingers)))
+        ramps, early, late = np.zeros((robots, len(self.fingers))), np.zeros((robots, count)), np.zeros((robots, count))
+        strong, passive = np.zeros((robots, count), bool), np.zeros((robots, count))
         for robot, beta in enumerate(space.betas):
             p = write(beta, model, data)
             angles[robot] *= 1.0 - p.freeze[self.driven]  # what sags in a frozen joint is no posture
-            gaps[robot], heights[robot], nearest = self._nearest(p, angles[robot])
+            gaps[robot], heights[robot], nearest, tilts[robot] = self._nearest(p, angles[robot])
             nearest = np.where(self._presses[:, None], nearest, p.anchor[self._tips])
             off[robot] = (point[robot] - nearest) * (force[robot] > 0)[:, None]
             stiffness, limit = p.gain, self._own_limit[robot]
@@ -247,8 +300,26 @@ class GraspLaw:
             slack = np.where(self._main, limit - own, 0.0)
             needed = self._needed(model, data, p, angles[robot], force[robot], nearest + off[robot])
             motors[robot] = own
+            way = self._own_closed[robot] - p.start_target
+            presses = angles[robot] + own / np.maximum(stiffness, WEAKEST)
+            shares[robot], full = (self._share(at - p.start_target, way) for at in (angles[robot], presses))
+            full = np.maximum(full, shares[robot] + RAMP)
+            ramps[robot] = np.log((full - shares[robot]) * (1.0 - p.preshape) / p.rate)
+            early[robot], late[robot] = (at - p.start_target for at in (angles[robot], presses))
+            ways.append(way)
+            strong[robot] = stiffness > WEAKEST
+            passive[robot] = ~strong[robot] & (p.freeze[self.driven] < 1.0)
+            fulls.append(full)
             rows[robot] = own - needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
         each = np.arange(len(self.fingers))
+        tilts[~(force > 0)] = np.nan
+        tilts = self._known(tilts, 0.0)
+        shares, ramps, fulls = (self._known(np.array(v), d) for v, d in ((shares, 0.5), (ramps, 0.0), (fulls, 1.0)))
+        # A joint without a motor has no course of its own to keep to.
+        early, late = (
+            self._known(np.where(strong, at - part[:, self._finger_of] * np.array(ways), np.nan), 0.0)
+            for at, part in ((early, shares), (late, fulls))
+        )
         # A finger's height is told by the robots whose finger presses; the others' is nobody's concern.
         pressing = force > 0
         known = np.where(pressing.any(axis=0), (heights * pressing).sum(axis=0) / np.maximum(pressing.sum(axis=0), 1), heights.mean(axis=0))
@@ -256,9 +327,11 @@ class GraspLaw:
         self._strongest = np.maximum(np.abs(motors).max(axis=0), STRONGEST)
         blocks = [
             ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
+            ("tilt", tilts, each),
             ("off", off.reshape(robots, -1), np.repeat(each, 3)),
             *((name, rows[:, k], self._finger_of) for k, name in enumerate(("error", "beyond", "slack", "both"))),
-            ("limit", self._own_limit, self._finger_of),
+            ("limit", self._own_limit, self._finger_of), ("share", shares, each), ("early", early, self._finger_of),
+            ("ramp", ramps, each), ("late", late, self._finger_of), ("passive", passive, self._finger_of),
         ]  # fmt: skip
         values = np.concatenate([block for _, block, _ in blocks], axis=1)
         owners = np.concatenate([owner for _, _, owner in blocks])
@@ -271,6 +344,20 @@ class GraspLaw:
             self._slope[np.ix_(dimensions, mine)] = np.linalg.pinv(steps, rcond=1e-9) @ (values[1:, mine] - values[0, mine])
         self._offset = values[0] - space.betas[0] @ self._slope
         self._low, self._high = values.min(axis=0), values.max(axis=0)
+
+    def _share(self, part: np.ndarray, way: np.ndarray) -> np.ndarray:
+        """(n_fingers,) of its way from the preshape to the closed target that a finger's main joint has gone; NaN: it has none."""
+        out = np.full(len(self.fingers), np.nan)
+        for k in np.flatnonzero(self._main & (np.abs(way) > SHORT)):
+            out[self._finger_of[k]] = np.clip(part[k] / way[k], *TOUCHING)
+        return out
+
+    @staticmethod
+    def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
+        """(n_robots, n) with the mean over the robots that know it where one does not (NaN); nobody does: ``otherwise``."""
+        lacking = np.isnan(values)
+        known = np.where(lacking, 0.0, values).sum(axis=0) / np.maximum((~lacking).sum(axis=0), 1)
+        return np.where(lacking, np.where(lacking.all(axis=0), otherwise, known), values)
 
     # ---- the motors --------------------------------------------------------------------------------------------
 
@@ -329,24 +416,36 @@ class GraspLaw:
             model, data: patched; the configuration in ``data`` is overwritten.
         """
         value = np.clip(alpha @ self._slope + self._offset, self._low, self._high)
-        angles, force, gap, height, off, error, beyond, slack, both, most = (value[cut] for cut in self._cuts.values())
+        angles, force, gap, height, tilt, off, error, beyond, slack, both, most, share, early, ramp, late, passive = (
+            value[cut] for cut in self._cuts.values()
+        )
         gap = gap - np.maximum(gap, 0.0) * np.clip(force / PRESSING, 0.0, 1.0)
         minding = np.clip(force / PRESSING, 0.0, 1.0)
-        angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding)
+        angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding, tilt)
         torque = self._needed(model, data, p, angles, touches * force, nearest + off.reshape(-1, 3)) + error
         torque = np.clip(torque, -self._strongest, self._strongest)
         apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
         away = np.minimum(1.0, nearest / LEAVING)[self._finger_of]
-        stiffness, excess = p.gain, p.gain * beyond
+        near = np.minimum(1.0, nearest / EASING)[self._finger_of]
+        led = ~self._main * self._presses[self._finger_of] * (1.0 - p.freeze[self.driven]) * passive
+        stiffness = np.maximum(p.gain, LED * near * led)
+        excess = p.gain * beyond
         shared = np.minimum(excess, slack)
         excess, slack = excess - shared + both, slack - shared + both
-        closed = angles + (torque + np.where(self._main, excess, 0.0)) / np.maximum(stiffness, WEAKEST)
+        pressing = angles + torque / np.maximum(stiffness, WEAKEST)
+        closed = pressing + np.where(self._main, excess, 0.0) / np.maximum(stiffness, WEAKEST)
+        share = np.clip(share, *TOUCHING)
+        full = np.minimum(share + np.exp(ramp) * p.rate / (1.0 - p.preshape), 1.0)
+        shares = [share[self._finger_of], full[self._finger_of], np.ones(len(closed))]
+        ways = [np.where(stiffness > WEAKEST, way, p.start_target) for way in (angles - early, pressing - late, closed)]
+        holding = np.maximum(most, HEADROOM * np.abs(torque) + FIRM * near * led)
         # A gripper may close beyond a limit that is soft on its own light links, and hard on heavier ones.
         own, past = p.limits[self.driven], np.stack([angles - LEEWAY, angles + LEEWAY], axis=1)
         wide = np.stack([np.minimum(own[:, 0], past[:, 0]), np.maximum(own[:, 1], past[:, 1])], axis=1)
         return Motors(
-            closed=np.where(stiffness > WEAKEST, closed, p.start_target),
-            limit=np.maximum(np.where(self._main, np.abs(torque) + slack, np.maximum(most, HEADROOM * np.abs(torque))), FEEBLE),
+            course=Course.through(p.start_target, ways, shares, p.preshape),
+            gain=stiffness,
+            limit=np.maximum(np.where(self._main, np.abs(torque) + slack, holding), FEEBLE),
             range=own + away[:, None] * (wide - own),
         )

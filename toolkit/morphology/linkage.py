@@ -15,7 +15,7 @@ the linkage is left out: closing is fitted, opening lags by it.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -111,15 +111,15 @@ def become_box(model: mujoco.MjModel, body: int, width: float) -> None:
 
 
 def closed_on_box(
-    model: mujoco.MjModel, start: np.ndarray, arm: Sequence[int], item: int, actuators: Sequence[int], targets: np.ndarray,
-    preshape: float, width: float = BOX_WIDTH, steps: int = CLOSING_STEPS,
+    model: mujoco.MjModel, start: np.ndarray, arm: Sequence[int], item: int, actuators: Sequence[int],
+    targets: Callable[[float], np.ndarray], preshape: float, width: float = BOX_WIDTH, steps: int = CLOSING_STEPS,
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:  # fmt: skip
     """A gripper closed on a box in its grasp frame, the arm and the box held still.
 
     Args:
         model: the scene; not changed.  start: (nq,) at the start posture.
         arm: joint ids.  item: body id of what becomes the box.
-        actuators: finger actuators.  targets: (n, 2) theirs at the closing commands -1 and +1.
+        actuators: finger actuators.  targets: closing command -> theirs (n,).
         preshape: closing command at the start.
         width: of the box across the jaws [m].
         steps: in which it closes; 0: it is not told to.
@@ -136,7 +136,7 @@ def closed_on_box(
     seconds = [CLOSING_STEP] * steps + [SQUEEZE - SETTLED] * (steps > 0)
     commands = [*np.linspace(preshape, 1.0, steps + 1)[1:], *([1.0] * (steps > 0))]
     for command, time in zip(commands, seconds, strict=True):
-        data.ctrl[list(actuators)] = targets[:, 0] + 0.5 * (command + 1.0) * (targets[:, 1] - targets[:, 0])
+        data.ctrl[list(actuators)] = targets(command)
         mujoco.mj_step(bench, data, int(round(time / bench.opt.timestep)))
     return bench, data
 

@@ -645,8 +645,11 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
 def _closed(robot: Robot, model: mujoco.MjModel, start: np.ndarray, joints: Sequence[Joint | None]) -> np.ndarray:
     """Merged angles (n_slots,) of the robot's own gripper, closed on the reference box."""
     actuators = role_actuators(model, robot)
-    targets = np.array([[target_at(robot, role, command) for command in (-1.0, 1.0)] for role in actuators])
     free = next(j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
+
+    def targets(command: float) -> np.ndarray:
+        return np.array([target_at(robot, role, command) for role in actuators])
+
     _, data = closed_on_box(model, start, arm_joints(model), int(model.jnt_bodyid[free]), list(actuators.values()), targets,
                             robot.gripper.preshape)  # fmt: skip
     return np.array([

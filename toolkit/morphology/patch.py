@@ -32,6 +32,7 @@ class Patch:
     gain: np.ndarray
     start_target: np.ndarray
     preshape: float
+    rate: float
     shape_pos: np.ndarray
     shape_quat: np.ndarray
     shape_size: np.ndarray

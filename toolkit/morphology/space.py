@@ -208,18 +208,22 @@ class CouplingSlot:
 
 
 def _coupling_slots(matching: Matching) -> list[CouplingSlot]:
-    """Tendons that start at the same finger's driven joint match; inner-knuckle tendons match among themselves."""
-    table: dict[tuple[str, bool], list[Coupling | None]] = {}
+    """Tendons that start at the same finger's driven joint match, and inner-knuckle tendons among themselves.
+
+    One that is held, and turns the pad, is no stop that a pad runs into: half of the one and half of the other would be neither.
+    """
+    table: dict[tuple[str, str], list[Coupling | None]] = {}
     count = len(matching.systems)
     for robot, system in enumerate(matching.systems):
         for coupling in system.couplings:
             names = [matching.slots[slot].name for slot in coupling.coefficients]
-            key = (names[0][:2], any(name.endswith(("J2", "J4")) for name in names))
+            driven = any(name.endswith(("J2", "J4")) for name in names)
+            key = (names[0][:2], "knuckle" if not driven else "drive" if coupling.held else "stop")
             table.setdefault(key, [None] * count)[robot] = coupling
     out = []
-    for (finger, driven), owners in sorted(table.items()):
+    for (finger, kind), owners in sorted(table.items()):
         slots = sorted({slot for owner in owners if owner for slot in owner.coefficients})
-        out.append(CouplingSlot(f"{finger}/{'drive' if driven else 'knuckle'}", finger, tuple(slots), tuple(owners)))
+        out.append(CouplingSlot(f"{finger}/{kind}", finger, tuple(slots), tuple(owners)))
     return out
 
 
@@ -239,6 +243,14 @@ def _curve_slots(matching: Matching) -> list[CurveSlot]:
     for robot, system in enumerate(matching.systems):
         for curve in system.curves:
             table.setdefault((curve.driven, curve.pad), [None] * len(matching.systems))[robot] = curve
+    # A tendon that is held leads a pad as well, though rigidly: the way is the same, so that pads that hang on it for a part only
+    # are led between the two ways.
+    for (driven, pad), owners in table.items():
+        for robot, system in enumerate(matching.systems):
+            for coupling in system.couplings:
+                if owners[robot] is None and coupling.held and set(coupling.coefficients) == {driven, pad}:
+                    ratio = -coupling.coefficients[driven] / coupling.coefficients[pad]
+                    owners[robot] = Curve(driven, pad, (ratio, 0.0), 0.0)
     return [
         CurveSlot(f"{matching.slots[pad].name}/curve", matching.slots[pad].element, driven, pad, tuple(owners))
         for (driven, pad), owners in sorted(table.items())
@@ -414,15 +426,15 @@ class EvolutionSpace:
         rows = []
         for shape in self.shape_slots:
             first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
-            own = self._turn_at_contact(first, shape.slot) @ shape.owners[first].rotation
+            own = self.turn_at_contact(first, shape.slot) @ shape.owners[first].rotation
             turns = [None if owner is None else owner.rotation for owner in shape.owners]
             if turns[0] is None:
-                turns = [self._turn_at_contact(robot, shape.slot).T @ own if turn is None else turn for robot, turn in enumerate(turns)]
+                turns = [self.turn_at_contact(robot, shape.slot).T @ own if turn is None else turn for robot, turn in enumerate(turns)]
             rows.append(_borrowed([None if t is None else Rotation.from_matrix(t @ shape.reference.T).as_rotvec() for t in turns]))
         elements = tuple(self.matching.slots[shape.slot].element for shape in self.shape_slots)
         return Field("shape_rotation", tuple(s.name for s in self.shape_slots), elements, ("x", "y", "z"), "rad", np.stack(rows, axis=1))
 
-    def _turn_at_contact(self, robot: int, slot: int) -> np.ndarray:
+    def turn_at_contact(self, robot: int, slot: int) -> np.ndarray:
         """Rotation (3, 3) of a finger's link from its start, with the robot's gripper closed on the reference box."""
         system, turn = self.matching.systems[robot], np.eye(3)
         while slot >= self.matching.arm_size:
@@ -441,9 +453,9 @@ class EvolutionSpace:
         while slot >= self.matching.arm_size:
             own = [found for found in system.shapes if found.slot == slot]
             if own:
-                toward = self._turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
+                toward = self.turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
                 first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
-                there = self._turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
+                there = self.turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
                 front = max(found.position @ toward + _extent(found, toward) for found in own)
                 middle = np.mean([found.position for found in own], axis=0)
                 return middle + (front - _extent(shape.owners[first], there) - middle @ toward) * toward

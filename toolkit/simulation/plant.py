@@ -12,6 +12,7 @@ from robots.robot import Robot
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, observe
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.grasp import Course
 from toolkit.morphology.matching import BASE_SITE, finger_sign
 from toolkit.morphology.posture import GRIP_SITE, arm_joints, native_env, role_actuators, role_joints, start_of
 from toolkit.morphology.space import GRIPPER_LOG_GAIN, HAND_LOG_GAIN, HAND_RATE
@@ -66,10 +67,10 @@ def _hand(
 
 
 @osc.compiled
-def _targets(state: np.ndarray, role: np.ndarray, opened: np.ndarray, closed: np.ndarray) -> np.ndarray:
+def _targets(state: np.ndarray, role: np.ndarray, commands: np.ndarray, targets: np.ndarray) -> np.ndarray:
     out = np.empty(role.size)
     for i in range(role.size):
-        out[i] = opened[i] + 0.5 * (state[role[i]] + 1.0) * (closed[i] - opened[i])
+        out[i] = np.interp(state[role[i]], commands[i], targets[i])
     return out
 
 
@@ -95,7 +96,7 @@ class CommandLaw:
         common: 0 every role its own action, 1 one closing action for all.
         gain: K.  leak: pull of s to zero.  rate: largest change of s per policy step.
         preshape: s at the start of an episode.
-        opened, closed: position targets [rad, m for slides] (n_actuators,) at s = -1 and s = +1.
+        course: position targets [rad, m for slides] (n_actuators,) over s.
         role: index (n_actuators,) into the commanded roles.
     """
 
@@ -104,8 +105,7 @@ class CommandLaw:
     leak: float
     rate: float
     preshape: float
-    opened: np.ndarray
-    closed: np.ndarray
+    course: Course
     role: np.ndarray
 
     def advance(self, state: np.ndarray, action: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ class CommandLaw:
 
     def targets(self, state: np.ndarray) -> np.ndarray:
         """Position targets (n_actuators,) [rad] at s (n_roles,)."""
-        return _targets(state, self.role, self.opened, self.closed)
+        return _targets(state, self.role, self.course.commands, self.course.targets)
 
 
 class Plant:
@@ -299,7 +299,7 @@ def mass_addresses(model: mujoco.MjModel, dofs: np.ndarray) -> np.ndarray:
 
 def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant:
     """F(alpha) as a plant; patches ``model`` in place (see MergedRobot.become)."""
-    targets = merged.become(alpha, model, data)
+    course = merged.become(alpha, model, data)
     theta = merged.space.theta(alpha)
     slots = merged.space.matching.slots
     arm_size = merged.space.matching.arm_size
@@ -309,7 +309,7 @@ def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, 
     law = CommandLaw(
         common=float(theta["common"][0, 0]), gain=float(10.0 ** theta["log_gain"][0, 0]),
         leak=float(theta["leak"][0, 0]), rate=float(10.0 ** theta["log_rate"][0, 0]),
-        preshape=float(theta["preshape"][0, 0]), opened=targets[:, 0], closed=targets[:, 1],
+        preshape=float(theta["preshape"][0, 0]), course=course,
         role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in driven]),
     )  # fmt: skip
     base = (
@@ -333,7 +333,7 @@ def command_law(robot: Robot) -> CommandLaw:
     targets = np.array([gripper.targets[role] for role in gripper.targets])
     return CommandLaw(
         common=float(not hand), gain=10.0 ** (HAND_LOG_GAIN if hand else GRIPPER_LOG_GAIN), leak=float(hand),
-        rate=HAND_RATE if hand else gripper.rate, preshape=gripper.preshape, opened=targets[:, 0], closed=targets[:, 1],
+        rate=HAND_RATE if hand else gripper.rate, preshape=gripper.preshape, course=Course.straight(*targets.T),
         role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in gripper.targets]),
     )  # fmt: skip
 
