@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks import TASKS
+from tasks.pick import ACTION_SIZE, START_ROTATION
 from toolkit.capability.audit import Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
 from toolkit.capability.bench import Bench, Capability
 from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
 from toolkit.morphology import parity
-from toolkit.morphology.linkage import closed_on_box
+from toolkit.morphology.linkage import BOX_WIDTH, closed_on_box
 from toolkit.pipeline import Lab
 from toolkit.simulation.plant import merged_plant
 
@@ -199,15 +200,18 @@ def test_a_violation_without_a_value_is_the_worst():
 
 @pytest.mark.parametrize("name", list(ROBOTS))
 def test_at_a_robot_the_motors_are_its_own(merged, space, name):
-    """The derived targets and limits against the robot's own, read from its own model."""
+    """The derived targets, over the whole closing command, and limits against the robot's own, read from its own model."""
     index, (model, data) = space.matching.names.index(name), merged.new()
-    targets = merged.become(space.betas[index], model, data)
+    course = merged.become(space.betas[index], model, data)
+    preshape = space.matching.systems[index].robot.gripper.preshape
     for row, slot in enumerate(merged.driven):
         joint = space.matching.systems[index].joints[slot]
         if joint is None or joint.stiffness == 0.0:
             continue
         actuator = model.actuator(space.matching.slots[slot].name).id
-        assert targets[row] == pytest.approx([joint.target_open, joint.target_closed], abs=1e-6)
+        for command in np.linspace(preshape, 1.0, 9):
+            own = joint.target_open + (command + 1.0) / 2.0 * (joint.target_closed - joint.target_open)
+            assert course(command)[row] == pytest.approx(own, abs=1e-6)
         assert model.actuator_forcerange[actuator, 1] == pytest.approx(joint.force_limit, rel=1e-6)
         assert model.actuator_gainprm[actuator, 0] == pytest.approx(joint.stiffness, rel=1e-9)
 
@@ -223,11 +227,59 @@ def test_the_motors_move_evenly(lab, seed, share):
     for at in (share, share + 1e-3):
         alpha = one + at * (other - one)
         p = lab.merged.write(alpha, model, data)
-        found.append((lab.merged.law.motors(alpha, p, model, data), p.gain))
-    (before, gain), (after, other_gain) = found
-    pull = np.abs(after.closed * other_gain - before.closed * gain)
+        found.append(lab.merged.law.motors(alpha, p, model, data))
+    before, after = found
+    pull = np.abs(after.course(1.0) * after.gain - before.course(1.0) * before.gain)
     assert pull.max() < 0.8, pull
     assert (np.abs(after.limit - before.limit) / np.maximum(before.limit, 0.5)).max() < 0.8
+
+
+def _squeezed(lab, alpha):
+    """The bench's model and data, gripper closed on the reference box, as the plant at ``alpha`` commands it."""
+    bench = Bench(lab.merged)
+    plant = merged_plant(lab.merged, alpha, bench._model, bench._data)
+    plant.begin(0)
+    return bench.squeeze(plant, BOX_WIDTH)[1]
+
+
+def _leans(model, data):
+    """How far [deg] the faces of the pads that touch the box lean from its own."""
+    item, across, out = model.body("object").id, START_ROTATION[:, 0], []
+    for pair in data.contact.geom:
+        bodies = model.geom_bodyid[pair]
+        if item in bodies:
+            pad = pair[0] if bodies[1] == item else pair[1]
+            if model.geom_type[pad] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_bodyid[pad] != 0:
+                facing = np.abs(data.geom_xmat[pad].reshape(3, 3).T @ across).max()
+                out.append(np.degrees(np.arccos(min(facing, 1.0))))
+    return out
+
+
+def test_pads_lie_flat_between_linkages(lab):
+    """Read from MuJoCo's own frames: neither at the tree's meta robots nor half way between two linkages does a pad touch with an edge."""
+    metas = [node.alpha for node in lab.tree("l1", "steiner").nodes if node.name.startswith("meta")]
+    assert metas
+    for alpha in (*metas, 0.5 * (lab.space.beta("kinova3") + lab.space.beta("iiwa"))):
+        leans = _leans(*_squeezed(lab, alpha))
+        assert leans and max(leans) < 5.0, leans
+
+
+def test_a_held_tendon_leads_its_pad_on_the_curve(lab):
+    """The way that the space gives to the Jaco's pads, against where they go in free air."""
+    index = lab.space.matching.names.index("jaco")
+    model, data = lab.merged.new()
+    plant = merged_plant(lab.merged, lab.space.beta("jaco"), model, data)
+    plant.begin(0)
+    for told in (1.0, 0.0):  # close, and come to rest there
+        action = np.zeros(ACTION_SIZE)
+        action[6:] = told
+        for _ in range(40):
+            plant.step(action)
+    for curve in lab.space.curve_slots:
+        way = curve.owners[index]
+        driven, pad = (data.qpos[model.joint(lab.space.matching.slots[slot].name).qposadr[0]] for slot in (curve.driven, curve.pad))
+        assert abs(driven) > 0.1
+        assert pad == pytest.approx(way.coefficients[0] * driven + way.coefficients[1] * driven**2, abs=0.02)
 
 
 def test_the_static_model_is_mujoco_s_own(merged, space):
@@ -253,6 +305,6 @@ def test_the_closed_bench_leaves_the_model_alone(lab):
     model, data = lab.merged.new()
     lab.merged.become(lab.space.beta("kinova3"), model, data)
     before = model.geom_friction.copy(), model.opt.gravity.copy()
-    closed_on_box(model, model.qpos0, [0], model.body("object").id, [7], np.zeros((1, 2)), -1.0)
+    closed_on_box(model, model.qpos0, [0], model.body("object").id, [7], lambda command: np.zeros(1), -1.0)
     assert np.array_equal(before[0], model.geom_friction) and np.array_equal(before[1], model.opt.gravity)
     assert isinstance(model, mujoco.MjModel) and TASKS
