@@ -12,7 +12,7 @@ import numpy as np
 from robots.robot import Robot
 from tasks.pick import EXPLORED_DEVIATION, PickTask
 from toolkit.branch import Branch
-from toolkit.capability.audit import Audit, Way, run_audit, verdict, ways_of
+from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
@@ -25,6 +25,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.phases import Witness
+from toolkit.plan import Plan
 from toolkit.quoting import markdown
 from toolkit.recording.story import SHARE, Cost, Story
 from toolkit.recording.stream import Stream
@@ -36,11 +37,12 @@ from toolkit.transfer import Transfer
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
-    "quick": {"transfer": {"learner": "search", "exploration": 0.15, "goal": 0.9, "path_budget": 600, "check_episodes": 16,
+    "quick": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.9, "path_budget": 600, "check_episodes": 16,
                            "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
-    "full": {"transfer": {"learner": "search", "exploration": 0.15, "goal": 0.95, "check_every": 2, "path_budget": 15_000},
+    "full": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.95, "check_every": 2,
+                          "path_budget": 15_000},
              "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
              "evaluation_episodes": 200},
     # Every number from the paper's table.
@@ -106,6 +108,8 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
     values |= {name: value for name, value in overrides.items() if value is not None}
     if values.get("step") == "fixed" and overrides.get("learner") is None:
         values["learner"] = "npg"  # the search goes with adaptive steps
+    if values.get("step") == "fixed" and overrides.get("path") is None:
+        values["path"] = "straight"  # as the paper's
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 
@@ -216,10 +220,11 @@ class Pipeline:
         self.engine = RolloutEngine(self.lab.merged, dump=dump)
         self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
+        self._audit()
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 EXPLORED_DEVIATION)  # fmt: skip
+                                 EXPLORED_DEVIATION, self._bends())  # fmt: skip
         if resume:
             try:
                 self.transfer.restore()
@@ -230,7 +235,6 @@ class Pipeline:
         self.run.write_json("tree", self.tree.to_json())
         stalls = folder / "stalls.json"
         self.stalls = read_object(stalls, "start the transfer again under another --run") if stalls.is_file() else {}
-        self._audit()
         records = self.run.read_metrics()
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.witness = Witness(folder, moved)
@@ -265,9 +269,19 @@ class Pipeline:
         """What the robots along the tree can do, in short, before any policy is taken through them."""
         if (self.run.path / "audit.json").is_file():
             return
-        edges = run_audit(self.lab.merged, ways_of(self.tree), robots=AUDITED, episodes=0, causes=False, brief=True)
+        bend = self.job.transfer.path == "bent"
+        edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=2 * bend, scripted=1, causes=False,
+                          brief=True)  # fmt: skip
         self.run.write_json("audit", {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]})
         self.watch({"event": "audited", "verdict": verdict(edges)})
+
+    def _bends(self) -> dict[frozenset[str], np.ndarray]:
+        """Targets behind each edge that is not straight -> the parameters that go first on it, as the audit found it best."""
+        if self.job.transfer.path != "bent":
+            return {}
+        first = {(edge["from"], edge["to"]): edge.get("first") for edge in read_audit(self.run.path)["edges"]}
+        plan = Plan(self.tree.to_json())
+        return {plan.below[to]: self.lab.space.side(side) for (_, to), side in first.items() if side in SIDES}
 
     def _stalled(self, branch: Branch) -> None:
         """Ask of a path whose budget is spent what changes on the robots where it stands."""

@@ -11,7 +11,8 @@ from toolkit.learning.npg import NpgConfig
 
 Method = Kind | Literal["direct"]
 METHODS: tuple[Method, ...] = (*KINDS, "direct")
-PATHS = ("straight", "optimised")
+Bending = Literal["straight", "bent", "optimised"]
+PATHS: tuple[Bending, ...] = ("straight", "bent", "optimised")
 Learner = Literal["search", "npg"]
 LEARNERS: tuple[Learner, ...] = ("search", "npg")
 
@@ -39,8 +40,9 @@ class TransferConfig:
     """"fixed": steps of length xi (paper). "adaptive": the farthest robot on which the policy still holds."""
     xi: float = 0.03
     """Evolution step, L2 (paper); adaptive: the shortest step tried."""
-    path: Literal["straight", "optimised"] = "straight"
-    """"straight": to the meta robot (REvolveR). "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
+    path: Bending = "straight"
+    """"straight": to the meta robot (REvolveR). "bent": one side of the grasp before the other, on edges whose robots cannot hold in
+    between when both go at once; in L1 it is no longer. "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
     pull: float = 1.0
     """Weight lambda of the meta robot in the direction of an optimised path (paper)."""
     demonstrations: int = 12

@@ -20,6 +20,7 @@ import numpy as np
 from toolkit.branch import Branch, Cost, stored_branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import MetaStep, Terminal, next_meta_robot
+from toolkit.evolution.bend import corner
 from toolkit.learners import OffsetLearner, WeightLearner
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, load_network, network_tensors
@@ -48,6 +49,7 @@ class Transfer:
         run: folder for metrics and checkpoints.
         report, witness: as for Sampler.
         deviation: (n_obs,) as for OffsetLearner; only for the learner "search".
+        bends: targets behind an edge -> indices of the evolution parameters that go first on it; the other edges are straight.
 
     Attributes:
         arrived: target -> its policy.
@@ -68,8 +70,10 @@ class Transfer:
         report: Callable[[dict[str, Any], Branch], None] = lambda record, branch: None,
         witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
         deviation: np.ndarray | None = None,
+        bends: Mapping[frozenset[str], np.ndarray] | None = None,
     ) -> None:
         self.config, self.engine, self.native, self.run = config, engine, native, run
+        self.bends = bends or {}
         self.goals = {target.name: target.alpha for target in targets}
         self.sampler = Sampler(run, config.seed, report, witness)
         self.weights = WeightLearner(config, self.sampler, engine, source, policy.copy())
@@ -115,6 +119,12 @@ class Transfer:
         """Algorithm 2 from the current robot."""
         targets = [Terminal(name, self.goals[name]) for name in branch.targets]
         return next_meta_robot(Terminal("current", branch.alpha), targets, self.config.metric, self.config.tree_kind)
+
+    def ahead(self, branch: Branch, step: MetaStep) -> np.ndarray:
+        """Where the way to the meta robot goes straight from here (D,): to its corner, or to the meta robot."""
+        first = self.bends.get(frozenset(branch.targets))
+        turn = None if first is None else corner(branch.alpha, step.meta_alpha, first)
+        return step.meta_alpha if turn is None else turn
 
     def at(self, branch: Branch, step: MetaStep) -> bool:
         """Whether the branch stands at its meta robot (the loop's condition)."""
@@ -182,19 +192,20 @@ class Transfer:
 
         A path whose budget is spent leaps to its end, where what it has reached is measured.
         """
-        distance = float(np.linalg.norm(step.meta_alpha - branch.alpha))
+        goal = step.meta_alpha if self.config.kind == "direct" else self.ahead(branch, step)
+        distance = float(np.linalg.norm(goal - branch.alpha))
         spent = self.costs[branch.path].sim_epochs >= self.config.path_budget
         if spent and self.config.kind != "direct":
             self.return_to_best(branch)
             self.sampler.say("budget", branch, reach=distance)
         if spent or self.config.kind == "direct":
-            self.move(branch, step.meta_alpha, distance if self.config.kind == "direct" else branch.stride, trained=False)
+            self.move(branch, goal, distance if self.config.kind == "direct" else branch.stride, trained=False)
             return
         if branch.next_alpha is None:
             if self.config.step == "adaptive" and not branch.looked:
                 self.look_ahead(branch, step)
             else:
-                self.choose_next(branch, step.meta_alpha)
+                self.choose_next(branch, goal)
             return
         outcome = self.train_to(branch, self.engine, branch.next_alpha, self.config.threshold, self.config.check_episodes,
                                 exploring=self.asks_noise(branch, branch.next_alpha))  # fmt: skip
@@ -207,10 +218,11 @@ class Transfer:
     def look_ahead(self, branch: Branch, step: MetaStep) -> None:
         """Go at once to the farthest robot on which the policy holds already, if there is any.
 
-        First the unmodified robot of an only target, then the end of the way, the targets behind it, and robots in between. For plain NPG
-        these are only robots beyond the stride that `choose_next` tries anyway.
+        First the unmodified robot of an only target, then the end of the way, its corner, the targets behind it, and robots in between.
+        For plain NPG these are only robots beyond the stride that `choose_next` tries anyway.
         """
-        way, alone = step.meta_alpha - branch.alpha, len(branch.targets) == 1
+        end, alone = self.ahead(branch, step), len(branch.targets) == 1
+        way = end - branch.alpha
         distance = float(np.linalg.norm(way))
         branch.looked = True
         if alone and self.config.native and branch.targets[0] in self.native:
@@ -223,9 +235,12 @@ class Transfer:
                 branch.stage = "settle"
                 return
         tried = 0.0 if self.offsets is not None else 2 * branch.stride
+        if end is not step.meta_alpha and self.holds(branch, self.engine, step.meta_alpha):
+            self.move(branch, step.meta_alpha, float(np.linalg.norm(step.meta_alpha - branch.alpha)), trained=False)
+            return
         for share in LOOKS:
             if share == 1.0 or share * distance >= self.config.xi:
-                robot = branch.alpha + share * way if share < 1.0 else step.meta_alpha
+                robot = branch.alpha + share * way if share < 1.0 else end
                 if share * distance > tried and self.holds(branch, self.engine, robot):
                     self.move(branch, robot, share * distance, trained=False)
                     branch.looked = share < 1.0  # farther on it has just failed
@@ -302,7 +317,7 @@ class Transfer:
 
         The episodes that this takes train nothing but cost the same, and are counted as simulation epochs.
         """
-        if self.config.path == "straight":
+        if self.config.path != "optimised":
             return (meta - branch.alpha) / np.linalg.norm(meta - branch.alpha)
         robots = sample_robots(branch.alpha, self.config.jacobian_episodes, self.config.xi, self.sampler.rng)
         seeds = np.repeat(self.sampler.training_seeds(-(-len(robots) // 2)), 2)[: len(robots)].tolist()

@@ -22,8 +22,10 @@ import numpy as np
 
 from toolkit.capability.bench import NOTHING, Bench, Capability
 from toolkit.errors import ToolkitError
+from toolkit.evolution.bend import corner
 from toolkit.evolution.tree import EvolutionTree
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.space import EvolutionSpace
 
 WEAKER, STRONGER = 0.8, 1.25
 """Shares of the weaker and of the stronger end between which the grip lies."""
@@ -45,18 +47,35 @@ QUANTITIES = {
 """Quantity of a capability -> what it is called."""
 
 
+SIDES = {"fingers": "the fingers before the thumb", "thumb": "the thumb before the fingers"}
+"""What may go first on a way that turns a corner -> in words."""
+
+
 @dataclass(frozen=True)
 class Way:
-    """A straight stretch of evolution: names of its ends, and their alphas (D,)."""
+    """A stretch of evolution: names of its ends, their alphas (D,), and where it turns (D,), if it does, for which side goes first."""
 
     start: str
     end: str
     first: np.ndarray
     last: np.ndarray
+    turn: np.ndarray | None = None
+    ahead: str | None = None
 
     def at(self, share: float) -> np.ndarray:
-        """The robot (D,) at a share of the way."""
-        return np.clip(self.first + share * (self.last - self.first), 0.0, 1.0)
+        """The robot (D,) at a share of the way's length, L1."""
+        if self.turn is None:
+            return np.clip(self.first + share * (self.last - self.first), 0.0, 1.0)
+        legs = [np.abs(self.turn - self.first).sum(), np.abs(self.last - self.turn).sum()]
+        gone = share * sum(legs)
+        if gone <= legs[0]:
+            return np.clip(self.first + gone / legs[0] * (self.turn - self.first), 0.0, 1.0)
+        return np.clip(self.turn + (gone - legs[0]) / legs[1] * (self.last - self.turn), 0.0, 1.0)
+
+    def bent(self, space: EvolutionSpace, side: str) -> "Way | None":
+        """The same way with one side of the grasp (a key of SIDES) first; None: only one side moves on it."""
+        turn = corner(self.first, self.last, space.side(side))
+        return None if turn is None else replace(self, turn=turn, ahead=side)
 
 
 @dataclass(frozen=True)
@@ -110,10 +129,18 @@ class Edge:
     def to_json(self) -> dict[str, Any]:
         """As plain numbers."""
         return {
-            "from": self.way.start, "to": self.way.end, "reserve": self.reserve,
+            "from": self.way.start, "to": self.way.end, "first": self.way.ahead, "reserve": self.reserve,
             "robots": [{"share": round(share, 4), **robot.to_json()} for share, robot in sorted(self.robots.items())],
             "violations": [violation.to_json() for violation in self.violations],
         }  # fmt: skip
+
+    @property
+    def broken(self) -> float:
+        """How much of the promise is broken: the worst excess of every quantity, 1 at most, a script that fails before all else."""
+        worst: dict[str, float] = {}
+        for violation in self.violations:
+            worst[violation.quantity] = max(worst.get(violation.quantity, 0.0), min(violation.excess, 1.0))
+        return sum(worst.values()) + len(QUANTITIES) * ("script" in worst)
 
     @property
     def ends(self) -> tuple[Capability, Capability]:
@@ -208,6 +235,15 @@ class Audit:
         self._idle: SimpleQueue[Bench] = SimpleQueue()
         for _ in range(self._pool._max_workers):
             self._idle.put(Bench(merged))
+
+    def best(self, way: Way) -> Edge:
+        """A way audited as it is, or turned so that one side of the grasp goes first, whichever keeps the promise best."""
+        found = [self.along(way)]
+        for side in SIDES if found[0].violations else ():
+            other = way.bent(self.merged.space, side)
+            if other is not None and found[-1].violations:
+                found.append(self.along(other))
+        return min(found, key=lambda edge: edge.broken)
 
     def close(self) -> None:
         """Stop the workers."""
@@ -331,13 +367,17 @@ class Audit:
 
 
 def run_audit(
-    merged: MergedRobot, ways: Sequence[Way], progress: Callable[[str, int, int], None] = lambda name, done, total: None, **options: Any
-) -> list[Edge]:
-    """Audit every way; see ``Audit`` for the options. ``progress`` is told the edge, how many are done, of how many."""
+    merged: MergedRobot, ways: Sequence[Way], progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+    bend: bool = False, **options: Any,
+) -> list[Edge]:  # fmt: skip
+    """Audit every way; see ``Audit`` for the options. ``progress`` is told the edge, how many are done, of how many.
+
+    ``bend``: where a straight way breaks the promise, take it with one side of the grasp first if that keeps it better.
+    """
     audit, out = Audit(merged, **options), []
     try:
         for way in ways:
-            out.append(audit.along(way))
+            out.append(audit.best(way) if bend else audit.along(way))
             progress(f"{way.start} to {way.end}", len(out), len(ways))
     finally:
         audit.close()
@@ -348,10 +388,12 @@ def verdict(edges: Sequence[Edge]) -> str:
     """One line on what an audit found."""
     broken = [(edge, edge.violations[0]) for edge in edges if edge.violations]
     kept = [edge for edge in edges if edge.reserve is None]
+    turned = [f"{edge.way.start} to {edge.way.end}, {SIDES[edge.way.ahead]}" for edge in edges if edge.way.ahead is not None]
+    bends = f" (bent: {'; '.join(turned)})" if turned else ""
     if not broken:
         parts = [min(robot.grip_n for robot in e.robots.values()) / max(min(r.grip_n for r in e.ends), 1e-9) for e in kept]
         weakest = f", grip at least {min(parts):.2f} of the weaker end's" if parts else ""
-        return f"audit: what the robots can do changes evenly along all {len(kept)} edges{weakest}"
+        return f"audit: what the robots can do changes evenly along all {len(kept)} edges{weakest}{bends}"
     edge, worst = max(broken, key=lambda pair: pair[1].excess)
     where = f"{edge.way.start} to {edge.way.end}"
-    return f"audit: {len(broken)} of {len(edges)} edges lead through worse robots; worst from {where}: {worst.sentence()}"
+    return f"audit: {len(broken)} of {len(edges)} edges lead through worse robots; worst from {where}: {worst.sentence()}{bends}"

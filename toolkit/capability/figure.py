@@ -24,7 +24,8 @@ def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(ROWS), max(len(edges), 1), squeeze=False, sharex=True, sharey="row")
     for column, edge in enumerate(edges):
-        panels[0][column].set_title(f"{edge['from']}\nto {edge['to']}", fontsize=8)
+        turned = f"\n{edge['first']} first" if edge.get("first") else ""
+        panels[0][column].set_title(f"{edge['from']}\nto {edge['to']}{turned}", fontsize=8)
         for row, (quantity, label) in enumerate(ROWS.items()):
             axes = panels[row][column]
             _panel(axes, edge, quantity)

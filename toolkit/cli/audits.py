@@ -17,6 +17,7 @@ def audit(
     run: Path | None = None,
     robots: int = 17,
     episodes: int = 4,
+    bend: bool = True,
     causes: bool = True,
     plot: Path | None = None,
     json: bool = False,
@@ -36,6 +37,8 @@ def audit(
         run: audit the tree of this run instead.
         robots: evenly spaced per edge, its ends included.
         episodes: of the script, per grasp, on every fourth robot; 0: no script.
+        bend: where a straight edge leads through worse robots, take it with one side of the grasp first, as a transfer does; it is no
+            longer in L1. --no-bend audits straight edges only.
         causes: ask what is to blame for the worst of each kind.
         plot: draw the audit into this file (PNG, PDF or SVG).
         json: print one JSON object.
@@ -53,7 +56,7 @@ def audit(
             merged, ways = known.merged, ways_in(known.tree())
         progress.show("audit", f"{len(ways)} edges, {robots} robots each", 0, len(ways), now=True)
         seen = lambda name, done, total: progress.show("audit", name, done, total, now=True)  # noqa: E731
-        edges = run_audit(merged, ways, seen, robots=robots, episodes=episodes, causes=causes)
+        edges = run_audit(merged, ways, seen, bend, robots=robots, episodes=episodes, causes=causes)
     content = {"edges": [edge.to_json() for edge in edges]}
     if plot is not None:
         from toolkit.capability.figure import save_audit
@@ -79,7 +82,8 @@ def _show(edges: list) -> None:
         found = "\n".join(worst.values()) or edge.reserve or "even"
         held = [robot.script for robot in inner if robot.script is not None]
         rows.append([
-            edge.way.start, edge.way.end, f"{ends[0].grip_n:.0f} to {ends[1].grip_n:.0f}",
+            edge.way.start, edge.way.end if edge.way.ahead is None else f"{edge.way.end} ({edge.way.ahead} first)",
+            f"{ends[0].grip_n:.0f} to {ends[1].grip_n:.0f}",
             f"{min(r.grip_n for r in inner):.0f} to {max(r.grip_n for r in inner):.0f}",
             f"{min(held):.0%}" if held else "", found,
         ])  # fmt: skip

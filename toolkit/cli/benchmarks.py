@@ -24,7 +24,7 @@ class Entry:
     kind: Method = "steiner"
     metric: Metric = "l1"
     step: Literal["adaptive", "fixed"] = "adaptive"
-    path: Literal["straight", "optimised"] = "straight"
+    path: Literal["straight", "bent", "optimised"] | None = None
     xi: float | None = None
     budget: int | None = None
     seed: int = 0

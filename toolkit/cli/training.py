@@ -105,7 +105,7 @@ def transfer(
     kind: Method = "steiner",
     metric: Metric = "l1",
     step: Literal["adaptive", "fixed"] | None = None,
-    path: Literal["straight", "optimised"] = "straight",
+    path: Literal["straight", "bent", "optimised"] | None = None,
     xi: float | None = None,
     budget: int | None = None,
     expert: str | None = None,
@@ -132,8 +132,9 @@ def transfer(
         kind: evolution tree: steiner, geometric-median or independent paths; direct trains on the targets without evolution.
         metric: distance between robots.
         step: adaptive (farthest robot on which the policy holds) or fixed (length xi, as in the paper).
-        path: straight to the meta robot (REvolveR), or optimised: also where the expected return grows (HERD), at 72 episodes
-            a step.
+        path: straight to the meta robot (REvolveR); bent: one side of the grasp before the other on edges where both at once lead
+            through robots that cannot hold; or optimised: also where the expected return grows (HERD), at 72 episodes a step;
+            default: the preset's, bent for quick and full.
         xi: length of a fixed step, and of the shortest adaptive one; default: the paper's 0.03.
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
         expert: another policy of the source than the one shipped for the task: a shipped expert's name, or the files of your own
@@ -155,7 +156,7 @@ def transfer(
                              exploration=exploration)  # fmt: skip
     if episodes is not None and episodes < 1:
         raise ToolkitError(f"episodes is {episodes}; give at least 1")
-    bent = "" if path == "straight" else f"{path}-"
+    bent = "" if path is None else f"{path}-"
     taught = "" if expert is None else f"-from-{Path(expert).name}"
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert)

@@ -48,6 +48,9 @@ gripper close in the same time when told to close at once."""
 CLOSING = START_ROTATION[:, 0]
 """Direction in which the fingers close, world; the thumb closes against it."""
 
+THUMB = "TH"
+"""Element of the thumb, and of the jaw that stands for it."""
+
 
 @dataclass(frozen=True)
 class Field:
@@ -297,6 +300,13 @@ class EvolutionSpace:
             self._cuts.append((f.name, start, start + f.values[0].size, f.values.shape[1:]))
             start += f.values[0].size
 
+    def side(self, name: str) -> np.ndarray:
+        """Indices of the parameters of one side of the grasp: "thumb", or the "fingers" that oppose it."""
+        arm = {slot.element for slot in self.matching.slots[: self.matching.arm_size]}
+        hand = {slot.element for slot in self.matching.slots} - arm
+        mine = hand & {THUMB} if name == "thumb" else hand - {THUMB}
+        return np.unique([p.dimension for p in self.parameters if p.element in mine]).astype(int)
+
     # ---- what the parameters are -------------------------------------------------------------------------------
 
     def _axis_references(self) -> np.ndarray:
@@ -453,9 +463,9 @@ class EvolutionSpace:
         while slot >= self.matching.arm_size:
             own = [found for found in system.shapes if found.slot == slot]
             if own:
-                toward = self.turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
+                toward = self.turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == THUMB else CLOSING)
                 first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
-                there = self.turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == "TH" else CLOSING)
+                there = self.turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == THUMB else CLOSING)
                 front = max(found.position @ toward + _extent(found, toward) for found in own)
                 middle = np.mean([found.position for found in own], axis=0)
                 return middle + (front - _extent(shape.owners[first], there) - middle @ toward) * toward
