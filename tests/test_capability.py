@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.pick import ACTION_SIZE, START_ROTATION
-from toolkit.capability.audit import Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
+from toolkit.capability.audit import SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
 from toolkit.capability.bench import Bench, Capability
 from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
@@ -163,12 +163,41 @@ def test_nothing_is_wrong_between_two_linkages(lab, tmp_path):
     assert not [v for v in edge.violations if v.quantity in ("grip_n", "script")], [v.sentence() for v in edge.violations]
     assert max(grips) <= 1.25 * max(r.grip_n for r in edge.ends), grips
     content = [edge.to_json()]
-    assert set(content[0]) == {"from", "to", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
+    assert set(content[0]) == {"from", "to", "first", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
     json.dumps(content, allow_nan=False)
     save_audit(content, tmp_path / "audit.png")
     assert (tmp_path / "audit.png").stat().st_size > 10_000
     with pytest.raises(ToolkitError, match="name a .png or .svg file"):
         save_audit(content, tmp_path / "audit.xyz")
+
+
+def test_where_both_sides_at_once_cannot_hold_one_goes_first(lab, tmp_path):
+    """To the Jaco the script drops the object half way, unless the fingers have arrived before the thumb sets out."""
+    tree = lab.tree("l1", "steiner")
+    way = next(way for way in ways_of(tree) if way.end == "jaco")
+    (straight,), (bent,) = (
+        run_audit(lab.merged, [way], bend=bend, robots=3, episodes=3, scripted=1, causes=False, brief=True, threads=2)
+        for bend in (False, True)
+    )
+    assert "script" in {v.quantity for v in straight.violations} and straight.way.ahead is None
+    assert bent.way.ahead in SIDES and bent.robots[0.5].script == 1.0 and bent.broken < straight.broken
+    assert "bent" in verdict([bent]) and bent.to_json()["first"] == bent.way.ahead
+
+
+def test_a_bent_way_is_as_long_in_l1_and_goes_through_its_corner(lab):
+    first, last = lab.space.beta("kinova3"), lab.space.beta("jaco")
+    way = Way("kinova3", "jaco", first, last)
+    for side in SIDES:
+        bent = way.bent(lab.space, side)
+        places = np.array([bent.at(share) for share in np.linspace(0.0, 1.0, 101)])
+        assert np.abs(np.diff(places, axis=0)).sum() == pytest.approx(np.abs(last - first).sum())
+        np.testing.assert_allclose(places[[0, -1]], [first, last], atol=1e-12)
+        mine = lab.space.side(side)
+        others = np.setdiff1d(np.arange(lab.space.size), mine)
+        settled = np.abs(places[:, mine] - last[mine]).max(axis=1) < 1e-9
+        assert np.all(settled | (np.abs(places[:, others] - first[others]).max(axis=1) < 1e-9))
+    assert Way("here", "here", first, first).bent(lab.space, "thumb") is None
+    assert not set(lab.space.side("thumb")) & set(lab.space.side("fingers"))
 
 
 def test_the_grip_along_the_paper_s_tree_keeps_the_promise(lab):

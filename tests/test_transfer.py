@@ -127,13 +127,14 @@ def config(**changes):
     return TransferConfig(**{"npg": NPG, "check_episodes": 12, "goal_episodes": 12, "xi": 0.08, "native": False} | changes)
 
 
-def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None):
+def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None, bends=None):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
     quiet = lambda *seen: None  # noqa: E731
     learner = expert() if settings.learner == "npg" else seeing_expert()
-    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, DEVIATION)
+    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, DEVIATION,
+                        bends)  # fmt: skip
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
     if resume:
@@ -490,6 +491,36 @@ def test_adaptive_steps_never_skip_a_robot_on_which_they_do_not_hold(finished):
             assert last["held"], f"record {i} moves on {last}"
             gone = last["reach"]
             assert abs(gone - record["stride"]) < transfer.config.xi + 1e-9, (gone, record["stride"])
+
+
+def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
+    """On the way to the left its second parameter goes first, in steps that never cut the corner; to the meta robot all go at once."""
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(step="fixed", xi=0.1), toy, bends={frozenset(["left", "right"]): np.array([1])})
+    transfer.meta_evolve()
+    assert set(transfer.arrived) == {"left", "right"}
+    places = [call["next"] for call in toy.calls if call["path"] == "path 1" and call["next"] is not None]
+    assert len(places) > 3
+    for place in places:
+        assert place[1] == pytest.approx(META[1]) or place[[0, 2]] == pytest.approx([0.0, 0.0]), place
+    for path in ("path 2", "path 3"):
+        end = next(t.alpha for t in TARGETS if [t.name] == [r["target"] for r in records(transfer, "arrived") if r["path"] == path])
+        for call in toy.calls:
+            if call["path"] == path and call["next"] is not None:
+                assert share_on_segment(call["next"][None], META, end)[1] < 1e-9
+
+
+def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path):
+    bends = {frozenset(["left", "right"]): np.array([1])}
+    whole = transfer_of(tmp_path / "whole", config(step="fixed", xi=0.1), Toy(), bends=bends)
+    whole.meta_evolve()
+    broken = transfer_of(tmp_path / "broken", config(step="fixed", xi=0.1), Toy(kill_after=9), bends=bends)
+    with pytest.raises(Killed):
+        broken.meta_evolve()
+    again = transfer_of(tmp_path / "broken", config(step="fixed", xi=0.1), Toy(), resume=True, bends=bends)
+    again.meta_evolve()
+    for name in ("left", "right"):
+        np.testing.assert_array_equal(again.arrived[name].parameters, whole.arrived[name].parameters)
 
 
 def test_the_adaptive_step_leaps_where_it_can(tmp_path):
@@ -988,7 +1019,7 @@ def test_shares_and_lengths_are_checked(field, value):
 @pytest.mark.parametrize(
     "field, value",
     [("check_episodes", 0), ("goal_episodes", 0), ("check_every", 0), ("path_budget", -1), ("step", "leap"), ("seed", -1),
-     ("kind", "star"), ("metric", "l3"), ("path", "bent"), ("pull", 0.0), ("pull", math.nan), ("jacobian_episodes", 1)],
+     ("kind", "star"), ("metric", "l3"), ("path", "winding"), ("pull", 0.0), ("pull", math.nan), ("jacobian_episodes", 1)],
 )  # fmt: skip
 def test_the_rest_is_checked_in_the_constructor_too(field, value):
     with pytest.raises(ToolkitError, match=field):
