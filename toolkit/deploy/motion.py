@@ -154,6 +154,9 @@ class Motion(Protocol):
     def tracking(self, joints: np.ndarray) -> float:
         """Largest difference [rad] of measured from commanded arm angles; 0 where none are commanded."""
 
+    def travel(self, command: Command) -> np.ndarray:
+        """(6,) motion [m, rad] of the grasp frame that a command makes until the next tick; once for every command sent, in order."""
+
 
 class _Base:
     """What the three forms share: limits, gripper, kinematics.
@@ -178,6 +181,7 @@ class _Base:
         gain = np.abs(self._steady) * self.expected.scale * manifest.policy_hz
         self.fastest = np.minimum(1.0, self.box.speed / gain)  # (6,) action from which the arm would exceed its Cartesian speed
         self.last = np.zeros(len(manifest.action))
+        self._sent = np.zeros(6)
         controller = manifest.controller
         self._axis = np.array(controller.base_axis) if controller.turns_with_first_joint else np.zeros(3)
         self._start_angle, self._frame = manifest.start.arm_rad[0], np.eye(3)
@@ -187,7 +191,8 @@ class _Base:
         self.grip.begin()
         self.expected.begin()
         self.last = np.zeros(len(self.low))
-        self.box.begin(self.kinematics.coordinates())
+        self._sent = self.kinematics.coordinates()
+        self.box.begin(self._sent)
 
     def _remember(self) -> None:
         self._before = (self.box.place, self.box.rate, self.grip.command, self.last)
@@ -221,6 +226,11 @@ class _Base:
         """No joint angles are commanded."""
         return 0.0
 
+    def travel(self, command: Command) -> np.ndarray:
+        """See Motion: from where the last command led to where this one does, as a stiff arm goes."""
+        before, self._sent = self._sent, self.coordinates(command)
+        return self._sent - before
+
 
 class OscMotion(_Base):
     """Deltas for a controller like robosuite's OSC_POSE, which re-bases its goal on the achieved pose."""
@@ -249,6 +259,10 @@ class OscMotion(_Base):
         """See Motion: no delta."""
         self.last = np.zeros(len(self.low))
         return self.command("osc", True, np.zeros(6), np.zeros(0), np.zeros((0, 0)))
+
+    def travel(self, command: Command) -> np.ndarray:
+        """See Motion: the measured response to this delta and those before it."""
+        return _turned(self._frame, self.expected.step(command.target))
 
 
 class PoseMotion(_Base):

@@ -1,7 +1,8 @@
 """What makes the runtime hold an arm, and then stop it. Everything here is on; there is no switch.
 
 A fault is noticed in the tick in which it appears, and the command of that very tick is to hold. A fault that passes
-(a late state, a late tick) lets the arm go on; any other, and one that stays, stops it after the manifest's hold_ticks.
+(a late state, a late tick, a state that comes twice) lets the arm go on; any other, and one that stays, stops it after the
+manifest's hold_ticks.
 """
 
 from dataclasses import dataclass
@@ -10,13 +11,16 @@ import numpy as np
 
 from toolkit.deploy.arm import Command, State
 from toolkit.deploy.kinematics import vector_of
+from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
 from toolkit.deploy.motion import Motion
 from toolkit.deploy.observer import Observer
 from toolkit.manifest import Manifest
 
 COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
-PASSING = ("stale_state", "late_ticks")
+PASSING = ("stale_state", "late_ticks", "frozen_state", "object_frozen")
 """Faults after which an arm may go on once they have passed."""
+OVERDUE, ASLEEP = 0.15, 1.0
+"""[s] by which a single tick, or its command, may come late before the arm is held, and before it is stopped: the world has moved on."""
 SPEED_MARGIN = 1.5
 """Measured joint speed, in units of the limit, from which the arm is held: measured speeds overshoot commanded ones."""
 LIMIT_MARGIN = 0.02
@@ -90,12 +94,17 @@ class Guard:
         self._held = watch.held_m
         names = [entry.name for entry in manifest.observation for _ in range(entry.size)]
         self._object = np.array([i for i, name in enumerate(names) if name == "object_from_grasp"])
+        half = [value for value in np.ravel(manifest.task.object.get("half_size_m", [])) if isinstance(value, float)]
+        self._narrow = 2.0 * min(half, default=0.0)
+        self._arm_alive, self._object_alive = ArmLiveness(), ObjectLiveness()
         self.begin()
 
     def begin(self) -> None:
         """Forget the last episode."""
         self._last: np.ndarray | None = None
         self._missed, self._late, self._rest, self._lifted = 1, 0, np.inf, False
+        self._arm_alive.begin()
+        self._object_alive.begin()
 
     # -- before the first command
 
@@ -283,8 +292,41 @@ class Guard:
             return Fault("tracking", f"the arm stands {motion.tracking(self._arm):.3f} rad from where it was commanded")
         return None
 
-    def timing(self, late: bool) -> Fault | None:
-        """Count ticks that end after their period."""
+    def alive(self, state: State, opening_m: float) -> Fault | None:
+        """Whether arm and object do what they must after the commands sent; see toolkit/deploy/liveness.py.
+
+        The observer's kinematics stand at the state, which has passed the other checks.
+
+        Args:
+            state: measured.
+            opening_m: between the fingers [m], as commanded.
+        """
+        kinematics = self.observer.kinematics
+        kind, detail = self._arm_alive.check(self._arm, kinematics.coordinates())
+        pose = np.concatenate([state.object_position, state.object_quaternion])
+        seen = self._object_alive.check(pose, kinematics.position, opening_m < self._narrow)
+        if kind:
+            return Fault(kind, detail)
+        return Fault("object_frozen", f"the object is not seen any more: {seen}") if seen else None
+
+    def blind(self) -> None:
+        """A tick without a state that may be trusted."""
+        self._arm_alive.blink()
+
+    def sent(self, command: Command, motion: Motion) -> None:
+        """Remember what a command does, for ``alive``."""
+        self._arm_alive.sent(motion.travel(command))
+
+    def timing(self, late: bool, overdue: float = 0.0) -> Fault | None:
+        """Count ticks that end after their period, and look at how late [s] this one comes."""
         self._late = self._late + 1 if late else 0
+        if overdue > OVERDUE:
+            return self.overdue(overdue)
         limit = self.manifest.watch.late_ticks
         return Fault("late_ticks", f"{self._late} ticks in a row ended after their period") if self._late >= limit else None
+
+    def overdue(self, seconds: float) -> Fault:
+        """What a tick, or its command, that comes so late [s] is."""
+        if seconds > ASLEEP:
+            return Fault("asleep", f"the policy's side did nothing for {seconds:.1f} s, more than {ASLEEP:.0f} s; begin anew from the start")
+        return Fault("late_ticks", f"a tick came {seconds:.2f} s late, more than {OVERDUE} s")
