@@ -299,7 +299,8 @@ class PoseMotion(_Base):
         motion = _turned(frame, motion)
         free = _within(self._free + motion, measured - self.lead, measured + self.lead)
         self._free = _within(free, self.box.low, self.box.high)
-        braking = 0.5 * self.period * max(0.0, -self.box.rate[2])  # what a fall covers in the tick that ends it
+        fall = max(0.0, -self.box.rate[2])
+        braking = 0.5 * fall * (self.period + fall / self.box.acceleration[2])  # what a fall covers until it has ended
         floor = min(measured[2] + self._clearance - self.kinematics.lowest() + braking, self.box.place[2])
         if self._free[2] < floor:  # no closer to the table than is allowed: an end to the motion, where the guard knows but a fault
             self._free[2], motion[2] = floor, max(0.0, motion[2])
