@@ -74,8 +74,8 @@ class ArmLiveness:
             length = _length(wanted)
             if length < MOVING or float((weight * wanted) @ moved) > FOLLOWED * length**2:
                 return "", ""
-        return "implausible_motion", (f"in {WINDOW} ticks the commands sent should have moved the arm by {1e3 * length:.1f} mm, and at most "
-                                      f"{FOLLOWED:.0%} of that way was measured; is it blocked, or are its angles another arm's?")  # fmt: skip
+        return "implausible_motion", (f"in {WINDOW} ticks the commands sent should have moved the arm by {1e3 * length:.1f} mm, and less "
+                                      f"than {FOLLOWED:.0%} of it was seen; is it blocked, or are its angles another arm's?")  # fmt: skip
 
     def blink(self) -> None:
         """A tick came without a state that could be believed: what the arm did meanwhile is not known."""

@@ -338,5 +338,5 @@ class Guard:
     def overdue(self, seconds: float) -> Fault:
         """What a tick, or its command, that comes so late [s] is."""
         if seconds > ASLEEP:
-            return Fault("asleep", f"the policy's side did nothing for {seconds:.1f} s, more than {ASLEEP:.0f} s; begin anew from the start")
+            return Fault("asleep", f"the policy's side did nothing for {seconds:.1f} s, over {ASLEEP:.0f} s; begin anew from the start")
         return Fault("late_ticks", f"a tick came {seconds:.2f} s late, more than {OVERDUE} s")
