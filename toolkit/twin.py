@@ -238,9 +238,7 @@ def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = la
                 leaving.pop(0)[1].close()
             lines = [] if client is None else [client.line]
             reads, writes, _ = select.select([listener, *lines], [line for line in lines if line.waiting], [], twin.catch_up())
-            if listener in reads:
-                client = _newcomer(twin, listener, client, leaving)
-            elif client is not None and (reads or writes):
+            if client is not None and (client.line in reads or writes):  # who has just left makes room for who has just come
                 try:
                     ended, served = _answer(twin, client)
                 except (OSError, ToolkitError) as error:
@@ -252,6 +250,8 @@ def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = la
                     client.line.close()
                     client = None
                     twin.stop("the runtime has gone")
+            if listener in reads:
+                client = _newcomer(twin, listener, client, leaving)
     finally:
         for line in [line for _, line in leaving] + ([] if client is None else [client.line]):
             line.close()

@@ -84,7 +84,7 @@ def deploy(
     loaded = load_bundle(bundle)
     twin = None
     if connect is None:
-        twin, port = _start_twin(bundle, pace)
+        twin, port = start_twin(bundle, pace)
         arm = SimDriver("127.0.0.1", port)
     else:
         arm = SimDriver(*_address(connect))
@@ -162,7 +162,7 @@ def _deployed(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
+def start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
     """A twin in a process of its own, and the port on which it listens."""
     import subprocess
 

@@ -6,17 +6,27 @@ was held, how far it truly went until it was held and until it stood, and whethe
 """
 
 import dataclasses
+import json
+import signal
+import socket
+import struct
+import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from toolkit.bundle import Bundle
+from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
+from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.kinematics import Kinematics
-from toolkit.deploy.runtime import EVALUATION_SEEDS, Outcome, Runtime, TickLog, play
+from toolkit.deploy.runtime import EVALUATION_SEEDS, Outcome, Pace, Runtime, TickLog, play
+from toolkit.errors import ToolkitError
 
 Must = Literal["stop", "pass", "play", "refuse"]
 """stop: held, then stopped with a reason.  pass: held, and played on.  play: borne, whether or not the policy
@@ -337,3 +347,161 @@ def trials(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harms: tupl
     when = onsets(bundle)
     for harm in harms:
         yield trial(bundle, driver, info, form, harm, when[harm.when], EVALUATION_SEEDS)
+
+
+# ---- what befalls processes, connections and disks ---------------------------------------------------------------------
+
+Start = Callable[[Pace], tuple[subprocess.Popen, int]]
+"""Starts a twin of the bundle in a process of its own; returns it, and the port on which it listens."""
+FULL_DISK = Path("/dev/full")
+ANSWER = 2.0
+"""[s] for an answer of the twin, before it counts as hung."""
+STILL, SOON = 0.05, 0.8
+"""[rad/s] below which an arm stands still, and [s] after which it must: the twin's watchdog takes 0.2 s, its arm the rest."""
+NONSENSE = {
+    "a client of HTTP": b"GET / HTTP/1.1\r\n\r\n", "a message of 2 GiB": struct.pack(">I", 2**31) + b"x" * 1000, "zeros": bytes(5000),
+    "a message that is no JSON": struct.pack(">I", 5) + b"{nope", "half a message": struct.pack(">I", 100) + b'{"do": ',
+}  # fmt: skip
+
+
+@contextmanager
+def _twin(start: Start, pace: Pace) -> Iterator[tuple[subprocess.Popen, int]]:
+    process, port = start(pace)
+    try:
+        yield process, port
+    finally:
+        process.kill()
+        process.wait()
+
+
+class _Cut:
+    """A driver at whose ``tick``-th command something happens."""
+
+    def __init__(self, driver: SimDriver, tick: int, happen: Callable[[], None]) -> None:
+        self.driver, self.left, self.happen = driver, tick, happen
+        self.connect, self.read, self.stop = driver.connect, driver.read, driver.stop
+
+    def send(self, command: Command) -> Command:
+        """See Driver."""
+        self.left -= 1
+        if self.left == 0:
+            self.happen()
+        return self.driver.send(command)
+
+
+def line_trials(bundle: Bundle, start: Start) -> Iterator[Trial]:
+    """Processes that die, hang and fall silent, clients that talk nonsense, and a disk that is full, in robosuite's own form."""
+    for name, sign in (("twin killed", signal.SIGKILL), ("twin hung", signal.SIGSTOP)):
+        with _twin(start, "lockstep") as (process, port):
+            yield _loses_its_arm(bundle, port, name, lambda process=process, sign=sign: process.send_signal(sign))
+    with _twin(start, "real") as (process, port):
+        yield _left_alone(port, "policy killed", True)
+        yield _left_alone(port, "policy silent", False)
+        for name, content in NONSENSE.items():
+            yield _told(port, name, content)
+        yield _second(port)
+        yield _bad_order(port)
+    if FULL_DISK.exists():
+        with _twin(start, "lockstep") as (process, port):
+            yield _full_disk(bundle, port)
+
+
+def _said(name: str, layer: str, must: str, seen: str, outcome: str, met: bool) -> Trial:
+    return Trial(name, layer, "osc", must, seen, None, 0.0, 0.0, outcome, met)
+
+
+def _episode(bundle: Bundle, port: int) -> tuple[SimDriver, Runtime]:
+    arm = SimDriver("127.0.0.1", port, answer=ANSWER)
+    runtime = Runtime(bundle, arm.connect())
+    arm.answer = 10 * ANSWER  # a busy machine takes its time for a reset
+    arm.begin(EVALUATION_SEEDS)
+    arm.answer = ANSWER
+    return arm, runtime
+
+
+def _loses_its_arm(bundle: Bundle, port: int, name: str, happen: Callable[[], None]) -> Trial:
+    arm, runtime = _episode(bundle, port)
+    outcome = play(runtime, _Cut(arm, onsets(bundle)["moving"], happen), TickLog(None, {}), "lockstep")
+    arm.leave()
+    return _said(name, "process", "stop", ", ".join(outcome.faults), f"stopped: {outcome.stopped}", outcome.stopped.startswith("driver"))
+
+
+def _pushed(port: int) -> SimDriver:
+    """A driver whose arm moves upwards."""
+    arm = SimDriver("127.0.0.1", port)
+    arm.connect()
+    arm.begin(EVALUATION_SEEDS)
+    for _ in range(4):
+        arm.send(Command("osc", False, np.array([0, 0, 1.0, 0, 0, 0]), np.zeros(0), 0.0, 1.0, 0.1))
+        time.sleep(0.05)
+    return arm
+
+
+def _left_alone(port: int, name: str, leaves: bool) -> Trial:
+    """The arm must stand still by itself, and the twin go on."""
+    arm = _pushed(port)
+    before = float(np.abs(arm.read().speeds).max())
+    if leaves:
+        arm.leave()
+    time.sleep(SOON)
+    if leaves:
+        arm = SimDriver("127.0.0.1", port)
+        arm.connect()
+    state = arm.read()
+    arm.leave()
+    speed = float(np.abs(state.speeds).max())
+    met = before > STILL > speed and (not leaves or bool(state.fault))
+    return _said(name, "process", "stop", state.fault, f"{before:.2f} rad/s, {speed:.3f} after {SOON} s", met)
+
+
+def _told(port: int, name: str, content: bytes) -> Trial:
+    """Who talks nonsense is sent away, and the next one served."""
+    with socket.create_connection(("127.0.0.1", port), timeout=ANSWER) as client:
+        client.sendall(content)
+        client.shutdown(socket.SHUT_WR)
+        try:
+            said = b"".join(iter(lambda: client.recv(4096), b""))
+        except OSError:
+            said = b""
+    heard = json.loads(said[4:])["error"] if len(said) > 4 else ""
+    try:
+        arm = _pushed(port)
+        arm.leave()
+    except ToolkitError as error:
+        return _said(name, "line", "pass", heard, f"the next client is refused: {error}", False)
+    return _said(name, "line", "pass", heard, "the next client is served", bool(heard) or name == "half a message")
+
+
+def _second(port: int) -> Trial:
+    arm, began = _pushed(port), time.monotonic()
+    try:
+        SimDriver("127.0.0.1", port).connect()
+        heard = ""
+    except ToolkitError as error:
+        heard = str(error)
+    took, served = time.monotonic() - began, not arm.read().fault
+    arm.leave()
+    return _said("a second client", "line", "pass", heard, f"told after {took:.2f} s, the first served on",
+                 "another client" in heard and took < ANSWER and served)  # fmt: skip
+
+
+def _bad_order(port: int) -> Trial:
+    order = Command("osc", False, np.full(6, np.nan), np.zeros(0), 0.0, 1.0, 0.1)
+    content = json.dumps({"do": "send", "command": wire.command_to_json(order)}).encode()
+    client = socket.create_connection(("127.0.0.1", port), timeout=ANSWER)
+    client.sendall(struct.pack(">I", len(content)) + content)
+    line = wire.Line(client)
+    heard = wire.exchange(line, {"do": "read"}, ANSWER).get("error", "")
+    served = "joints" in wire.exchange(line, {"do": "result"}, ANSWER)  # the answer to the question before
+    line.close()
+    return _said("an order that is not a number", "line", "pass", heard, "refused by a sentence, served on", bool(heard) and served)
+
+
+def _full_disk(bundle: Bundle, port: int) -> Trial:
+    arm, runtime = _episode(bundle, port)
+    log = TickLog(FULL_DISK, {})
+    outcome = play(runtime, arm, log, "lockstep")
+    log.close()
+    arm.leave()
+    return _said("log on a full disk", "disk", "play", log.trouble, "success" if outcome.success else outcome.stopped or "horizon",
+                 outcome.success and bool(log.trouble))  # fmt: skip
