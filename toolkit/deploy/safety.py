@@ -41,8 +41,8 @@ START_SPEED = 0.1
 """[rad/s] from which on an arm does not stand still."""
 LIFTED = 0.02
 """Rise [m] of the object from where it rests that counts as lifted."""
-SURE = 3
-"""Ticks in a row in which the object must be seen lifted, or away from the gripper that lifted it: cameras err by a centimetre."""
+SURE, GONE = 3, 2
+"""Ticks in a row in which the object must be seen lifted, and away from the gripper that lifted it: cameras err by a centimetre."""
 CAMERA = {"object_from_grasp": 0.08, "goal_from_object": 0.08}
 """[m] that the object may seem to move in a tick, whatever the manifest calls a jump: five standard deviations of what noise of 10 mm,
 which the policies bear, does to a difference."""
@@ -270,7 +270,7 @@ class Guard:
             return Fault("workspace", f"grasp coordinate {COORDINATES[worst]} is {place[worst]:.3f}, outside the workspace box")
         apart = float(np.linalg.norm(observation[self._object])) if self._lifted else 0.0
         self._away = self._away + 1 if apart > self._held else 0
-        if self._away >= SURE or apart > self._held + CAMERA["object_from_grasp"]:
+        if self._away >= GONE or apart > self._held + CAMERA["object_from_grasp"]:
             return Fault("object_lost", f"the lifted object is {apart:.3f} m from the grasp frame, more than {self._held:.3f}")
         return None
 
