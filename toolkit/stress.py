@@ -31,7 +31,9 @@ from toolkit.quiet import start_worker
 GOOD = 0.9
 """Success rate from which on a condition counts as borne."""
 PAIR_SEED = 22
-"""Of the random pairs."""
+"""Of the random pairs, and of what conditions draw per episode."""
+GRAVITY = 9.81
+"""[m/s^2]"""
 
 
 @dataclass(frozen=True)
@@ -149,8 +151,7 @@ class StressedRobot(NativeRobot):
     def apply(self, native: np.ndarray) -> np.ndarray:
         """See NativeRobot, with the forces that the controller does not know of."""
         data = self.data
-        data.xfrc_applied[self._hand, 2] = value = -9.81 * self.value("payload")
-        del value
+        data.xfrc_applied[self._hand, 2] = -GRAVITY * self.value("payload")
         dofs = self.model.jnt_dofadr[self._arm]
         data.qfrc_applied[dofs] = -self.value("gravity_error") * data.qfrc_bias[dofs]
         return super().apply(native)
