@@ -21,13 +21,15 @@ class SimDriver:
     Args:
         host, port: where it listens.
         patience: [s] for the first connection, while the twin still loads its robot.  answer: [s] for a single answer.
+        token: that a twin which others can reach has printed; empty: it has none.
 
     Attributes:
         pace: of the twin, once connected: "real" or "lockstep".
     """
 
-    def __init__(self, host: str, port: int, patience: float = 120.0, answer: float = PATIENCE) -> None:
+    def __init__(self, host: str, port: int, patience: float = 120.0, answer: float = PATIENCE, token: str = "") -> None:
         self.host, self.port, self.patience, self.answer = host, port, patience, answer
+        self.token = token
         self._line: wire.Line | None = None
         self._asked, self._gone = 0, ""
         self.pace = ""
@@ -56,7 +58,7 @@ class SimDriver:
                     ) from None
                 time.sleep(0.1)
         self._asked, self._gone = 0, ""
-        found = self._ask({"do": "describe"})
+        found = self._ask({"do": "describe"} | ({"token": self.token} if self.token else {}))
         self.pace = str(found.pop("pace", ""))
         try:
             info = ArmInfo(**{key: tuple(value) if isinstance(value, list) else value for key, value in found.items()})
