@@ -17,8 +17,8 @@ from toolkit.cli.names import TARGETS, TASK
 from toolkit.runs import Run
 
 COMMANDS = (
-    "robots", "match", "tree", "audit", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "deploy",
-    "twin", "doctor", "recordings", "bench",
+    "robots", "match", "tree", "audit", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "stress",
+    "deploy", "twin", "doctor", "recordings", "bench",
 )  # fmt: skip
 POINTS = {
     "source": {"name": "hand", "alpha": [0.0, 0.0, 0.0]},

@@ -16,7 +16,7 @@ import toolkit.twin
 from robots import ROBOTS
 from toolkit import cli
 from toolkit.cli import main
-from toolkit.cli.deployment import _address
+from toolkit.cli.deployment import _address, _loopback
 from toolkit.deploy import wire
 from toolkit.deploy.arm import Command
 from toolkit.deploy.drivers.sim import SimDriver
@@ -283,6 +283,36 @@ def test_what_answers_in_place_of_a_twin_is_named(name):
 def test_an_address_that_is_none_is_refused(text):
     with pytest.raises(ToolkitError, match="is no HOST:PORT"):
         _address(text)
+
+
+@pytest.mark.parametrize("token, said", [("", "knows its token"), ("wrong", "knows its token"), ("right", ""), ("r\u00efght", "knows")])
+def test_a_twin_with_a_token_serves_only_who_knows_it(twin, token, said):
+    twin.begin(0)
+    listener = socket.create_server(("127.0.0.1", 0))
+    thread = threading.Thread(target=serve, args=(twin, listener), kwargs={"token": "right"}, daemon=True)
+    thread.start()
+    number = listener.getsockname()[1]
+    driver = SimDriver("127.0.0.1", number, token=token)
+    if said:
+        with pytest.raises(ToolkitError, match=said):
+            driver.connect()
+        with stray(number) as client:
+            client.sendall(asked(do="close"))
+            assert b"token" in client.recv(4096), "a stranger does not end it either"
+        driver = SimDriver("127.0.0.1", number, token="right")
+    driver.connect()
+    driver.begin(1)
+    assert driver.read().fault == ""
+    driver.close()
+    thread.join(20)
+    assert not thread.is_alive()
+    listener.close()
+
+
+def test_beyond_this_machine_a_token_is_asked_for():
+    for host, local in (("127.0.0.1", True), ("127.0.0.2", True), ("0.0.0.0", False)):
+        with socket.create_server((host, 0)) as listener:
+            assert _loopback(listener) is local
 
 
 def test_an_address_of_the_sixth_version_is_taken():

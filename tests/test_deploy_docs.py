@@ -34,8 +34,9 @@ def test_the_faults_that_pass_are_the_ones_that_the_page_names():
     assert tuple(re.findall(r"`(\w+)`", passing)) == PASSING
     source = (PAGE.parent.parent / "toolkit" / "deploy" / "safety.py").read_text()
     source += (PAGE.parent.parent / "toolkit" / "deploy" / "runtime.py").read_text()
-    kinds = set(re.findall(r'Fault\("(\w+)"', source)) | {"joint_speed", "effort"}
-    assert kinds == set(re.findall(r"`(\w+)`", PAGE.read_text().split("| fault |")[1].split("`META_EVOLVE")[0]))
+    alive = (PAGE.parent.parent / "toolkit" / "deploy" / "liveness.py").read_text()
+    kinds = set(re.findall(r'Fault\("(\w+)"', source)) | set(re.findall(r'return "(\w+)", ', alive)) | {"joint_speed", "effort"}
+    assert kinds == set(re.findall(r"`(\w+)`", PAGE.read_text().split("| fault |")[1].split("### A bad day")[0]))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import pytest
 
 from toolkit.deploy.arm import ArmInfo, Command, check_fit
 from toolkit.deploy.drivers import franka, kortex, ros2, ur
+from toolkit.deploy.drivers.stamps import Changes, DeviceClock
 from toolkit.deploy.kinematics import matrix_of, quaternion_of, rotation_of
 from toolkit.errors import ToolkitError
 
@@ -79,6 +80,8 @@ def arm(monkeypatch):
         return made["control"]
 
     receive = SimpleNamespace(getActualQ=lambda: ANGLES[:6].tolist(), getActualQd=lambda: [0.1] * 6, getTargetMoment=lambda: [5.0] * 6,
+                              getTimestamp=lambda: made.get("seconds", time.monotonic() + 77.0),
+                              isConnected=lambda: made.get("connected", True),
                               isEmergencyStopped=lambda: False, isProtectiveStopped=lambda: made.get("protective", False))  # fmt: skip
     monkeypatch.setitem(sys.modules, "rtde_control", SimpleNamespace(RTDEControlInterface=control))
     monkeypatch.setitem(sys.modules, "rtde_receive", SimpleNamespace(RTDEReceiveInterface=lambda host: receive))
@@ -178,8 +181,8 @@ class FakeFranky:
         pass
 
     def __init__(self):
-        self.moves, self.widths, self.stops = [], [], 0
-        state = SimpleNamespace(q=ANGLES.tolist(), dq=[0.0] * 7, tau_J=[1.0] * 7)
+        self.moves, self.widths, self.stops, self.seconds = [], [], 0, None
+        state = SimpleNamespace(q=ANGLES.tolist(), dq=[0.0] * 7, tau_J=[1.0] * 7, time=self)
         self.arm = SimpleNamespace(state=state, has_errors=False, relative_dynamics_factor=1.0, stop=self._stop,
                                    move=lambda motion, asynchronous=False: self.moves.append((motion, asynchronous)))  # fmt: skip
         self.hand = SimpleNamespace(width=0.06, stop=lambda: None, move_async=lambda width, speed: self.widths.append((width, speed)))
@@ -195,6 +198,9 @@ class FakeFranky:
 
     def _stop(self):
         self.stops += 1
+
+    def to_sec(self):
+        return time.monotonic() - 3.0 if self.seconds is None else self.seconds
 
 
 @pytest.fixture
@@ -310,7 +316,8 @@ def test_ros2_looks_joints_up_by_name_and_gives_seconds():
     with pytest.raises(ToolkitError, match="nothing came on /joint_states"):
         driver.read()
     shuffled = names[::-1]
-    driver.heard(SimpleNamespace(name=shuffled, position=ANGLES[::-1].tolist(), velocity=[], effort=list(range(7))))
+    stamp = SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=5))
+    driver.heard(SimpleNamespace(header=stamp, name=shuffled, position=ANGLES[::-1].tolist(), velocity=[], effort=list(range(7))))
     state = driver.read()
     assert state.joints.tolist() == ANGLES.tolist() and state.speeds is None and state.efforts.tolist() == list(range(6, -1, -1))
     command = joint_command(count=5)
@@ -321,9 +328,77 @@ def test_ros2_looks_joints_up_by_name_and_gives_seconds():
     assert trajectory.points[-1].positions == ANGLES.tolist() and trajectory.points[-1].velocities == command.rate.tolist()
     driver.stop("done")
     assert published[-1].points == [] and driver.read().fault == "done"
-    driver.heard(SimpleNamespace(name=names[1:], position=[0.0] * 6, velocity=[], effort=[]))
+    driver.heard(SimpleNamespace(header=stamp, name=names[1:], position=[0.0] * 6, velocity=[], effort=[]))
     with pytest.raises(ToolkitError, match="no joint 'lbr_A1'"):
         driver.read()
+
+
+# -- a state is as old as its device says ----------------------------------------------------------------------------------
+
+
+def test_a_devices_clock_is_set_by_its_quickest_packet_and_stands_still_with_it():
+    now = SimpleNamespace(at=100.0)
+    clock = DeviceClock(lambda: now.at)
+    assert clock(5.0) == pytest.approx(100.0)
+    now.at = 100.25
+    assert clock(5.1) == pytest.approx(100.1, abs=1e-3), "150 ms on its way"
+    now.at = 100.6
+    assert clock(5.1) == pytest.approx(100.1, abs=1e-3), "dead"
+    now.at = 101.0
+    assert clock(0.1) == pytest.approx(101.0), "switched on again"
+    ages = []
+    for tick in range(20 * 600):  # ten minutes on a clock that is 200 ppm slow, with packets of 2 to 20 ms
+        now.at = 101.0 + 0.05 * tick
+        ages.append(now.at - clock(0.1 + (0.05 * tick - 0.002 - 0.018 * (tick % 7) / 6) * (1 - 2e-4)))
+    assert 0.0 <= min(ages) and max(ages[20:]) < 0.035, f"{min(ages):.4f} to {max(ages[20:]):.4f} s"
+
+
+def test_a_state_that_does_not_change_grows_old():
+    now = SimpleNamespace(at=1.0)
+    changed = Changes(lambda: now.at)
+    assert changed((1, 2)) == 1.0
+    now.at = 2.0
+    assert changed((1, 2)) == 1.0 and changed((1, 3)) == 2.0
+
+
+def test_ur_says_when_it_measured_and_that_its_line_is_cut(arm):
+    assert abs(time.monotonic() - arm.driver.read().stamp) < 0.1
+    arm.made["seconds"] = time.monotonic() + 77.0
+    first = arm.driver.read().stamp
+    time.sleep(0.1)
+    assert arm.driver.read().stamp == pytest.approx(first, abs=2e-3), "its receiver is dead, and stamps at reading would not tell"
+    arm.made["connected"] = False
+    assert "connection" in arm.driver.read().fault
+
+
+def test_franka_says_when_it_measured(franky):
+    driver = franka.Franka("10.0.0.3", "panda", JOINTS, scene, 0.08)
+    driver.connect()
+    assert abs(time.monotonic() - driver.read().stamp) < 0.1
+    franky.seconds = time.monotonic() - 3.0
+    first = driver.read().stamp
+    time.sleep(0.1)
+    assert driver.read().stamp == pytest.approx(first, abs=2e-3)
+
+
+def test_kortex_and_ros2_repeat_themselves_and_grow_old():
+    row = SimpleNamespace(position=10.0, velocity=0.0, torque=1.0)
+    feedback = SimpleNamespace(actuators=[row] * 7, interconnect=SimpleNamespace(
+        gripper_feedback=SimpleNamespace(motor=[SimpleNamespace(position=0.0)])))  # fmt: skip
+    kinova = kortex.Kortex(None, SimpleNamespace(RefreshFeedback=lambda: feedback), None, "kinova3", JOINTS, scene)
+    first = kinova.read().stamp
+    ros = ros2.Ros2(None, None, None, None, "iiwa", JOINTS, JOINTS, scene, lambda *to: None, lambda: 1.0)
+    message = SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=10**9, nanosec=0)), name=list(JOINTS),
+                              position=[0.0] * 7, velocity=[], effort=[])  # fmt: skip
+    ros.heard(message)
+    told = ros.read().stamp
+    time.sleep(0.05)
+    ros.heard(message)
+    assert kinova.read().stamp == pytest.approx(first, abs=2e-3) and ros.read().stamp == pytest.approx(told, abs=2e-3)
+    row.torque = 1.01
+    message.header.stamp.nanosec = 50_000_000
+    ros.heard(message)
+    assert kinova.read().stamp > first + 0.04 and ros.read().stamp > told + 0.04
 
 
 # -- what does not fit is refused by name ------------------------------------------------------------------------------

@@ -196,20 +196,41 @@ class Puppet:
              "late")  # fmt: skip
 
     def __init__(self, bundle, rng):
-        self.bundle, self.rng = bundle, rng
-        self.solver_model = Kinematics.of(bundle.manifest, bundle.mjcf)
+        self.bundle, self.rng, m = bundle, rng, bundle.manifest
+        self.kinematics = Kinematics.of(m, bundle.mjcf)
+        self.expected, self.base = Expected(m), rotation_matrix(m.robot.base_quaternion)
+        self.dofs = [int(self.kinematics.model.joint(joint.name).dofadr[0]) for joint in m.joints]
+        self.low = np.array([-np.inf if joint.low is None else joint.low for joint in m.joints])
+        self.high = np.array([np.inf if joint.high is None else joint.high for joint in m.joints])
 
     def begin(self, now):
         self.state = start_state(self.bundle, now)
+        self.expected.begin()
 
     def obey(self, command):
-        """Joint commands come true, others move the arm a little."""
-        joints = self.state.joints + self.rng.normal(0, 2e-4, len(self.state.joints))
+        """Commands come true, but for a tenth and some noise."""
+        joints = self.state.joints
         if command.form == "joint":
             joints = joints + 0.9 * (command.target - joints)
-        elif not command.hold:
-            joints = joints + self.rng.normal(0, 3e-3, len(joints))
-        self.state = changed(self.state, joints=joints)
+        else:
+            joints = joints + 0.9 * self.joint_step(command)
+        self.state = changed(self.state, joints=np.clip(joints, self.low, self.high) + self.rng.normal(0, 2e-4, len(joints)))
+
+    def joint_step(self, command):
+        """(n,) [rad] towards a pose, or as robosuite's controller answers a delta."""
+        model, data = self.kinematics.model, self.kinematics.data
+        self.kinematics.place(self.state.joints, self.state.fingers)
+        if command.form == "osc":
+            motion = self.expected.step(command.target)
+        else:
+            place = self.base @ command.target[:3] + np.array(self.bundle.manifest.robot.base_position_m)
+            turn = self.base @ rotation_matrix(command.target[3:]) @ self.kinematics.rotation.T
+            motion = np.concatenate([place - self.kinematics.position, vector_of(turn)])
+        mujoco.mj_comPos(model, data)
+        jacobian = np.zeros((6, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("grasp").id)
+        jacobian = jacobian[:, self.dofs]
+        return jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-3 * np.eye(6), motion)
 
     def read(self, now, harm):
         state, rng, n = changed(self.state, stamp=now - 0.002), self.rng, len(self.state.joints)
@@ -429,7 +450,7 @@ def test_a_steady_action_commands_the_metres_that_the_arm_would_make(bundle, for
     """0.3 upwards for 20 ticks: steady response times delta times ticks, less what starting up takes."""
     m = bundle.manifest
     runtime = Runtime(bundle, info_of(m), form, lambda observation: np.array([0, 0, 0.2, 0, 0, 0, -1.0]))
-    state = start_state(bundle)
+    state, puppet = start_state(bundle), Puppet(bundle, np.random.default_rng(0))
     assert runtime.begin(state, 0.0) is None
     kinematics = Kinematics.of(m, bundle.mjcf)
     kinematics.place(state.joints, state.fingers)
@@ -439,9 +460,11 @@ def test_a_steady_action_commands_the_metres_that_the_arm_would_make(bundle, for
         assert tick.fault is None, tick.fault
         if form == "joint":
             state = changed(state, joints=tick.command.target)
-        # A pose-controlled arm that does as it is told, in joint angles that do not matter here.
         else:
             runtime.motion.lead = np.full(6, 1.0)
+            puppet.state = state
+            puppet.obey(tick.command)
+            state = puppet.state
     if form == "joint":
         kinematics.place(tick.command.target, state.fingers)
         height = kinematics.position[2]

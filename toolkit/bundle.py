@@ -23,6 +23,7 @@ from tasks.npz import BROKEN, ArrayError, Arrays
 from toolkit.errors import ToolkitError
 from toolkit.export import OnnxPolicy, onnx_from_bytes
 from toolkit.jsonfiles import parsed
+from toolkit.makers import check_makers_limits
 from toolkit.manifest import Manifest, read_manifest
 from toolkit.quoting import told
 
@@ -99,6 +100,7 @@ def load_bundle(path: str | Path) -> Bundle:
         raise ToolkitError(f"bundle {path} has no {missing[0]}; copy or export it again, whole")
     content = parsed(files[MANIFEST], f"{path}/{MANIFEST}", "copy or export the bundle again")
     manifest = read_manifest(content, f"{path}/{MANIFEST}")
+    check_makers_limits(manifest, f"{path}/{MANIFEST}")
     for name in HASHED:
         found, wanted = hashlib.sha256(files[name]).hexdigest(), manifest.sha256.get(name)
         if found != wanted:

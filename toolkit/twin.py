@@ -5,6 +5,7 @@ per command, and waits. Under `osc` commands robosuite's own controller moves it
 a position-controlled arm: a stiff servo follows the waypoints, as an industrial controller does.
 """
 
+import hmac
 import select
 import socket
 import time
@@ -217,14 +218,19 @@ BUSY = "it serves another client; end that one, or start a twin on another port"
 
 @dataclass(eq=False)
 class _Client:
-    """Who is served: the line to it, and when it last said something that makes sense [s]."""
+    """Who is served: the line to it, when it last said something that makes sense [s], and whether it has shown the token."""
 
     line: wire.Line
     heard: float = -np.inf
+    known: bool = False
 
 
-def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = lambda: False) -> None:
+def serve(
+    twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = lambda: False, token: str = ""
+) -> None:
     """Answer one client after another until one asks the twin to close, or whoever started it is gone.
+
+    With a ``token`` only a client whose first message holds it is served.
 
     The twin's clock goes on whatever a client does: none is waited for, in reading or in writing. Who says what makes no sense is
     told so, where it can be, and is sent away; who comes while another is served is told so at once.
@@ -238,11 +244,9 @@ def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = la
                 leaving.pop(0)[1].close()
             lines = [] if client is None else [client.line]
             reads, writes, _ = select.select([listener, *lines], [line for line in lines if line.waiting], [], twin.catch_up())
-            if listener in reads:
-                client = _newcomer(twin, listener, client, leaving)
-            elif client is not None and (reads or writes):
+            if client is not None and (client.line in reads or writes):  # who has just left makes room for who has just come
                 try:
-                    ended, served = _answer(twin, client)
+                    ended, served = _answer(twin, client, token)
                 except (OSError, ToolkitError) as error:
                     _send_away(client.line, str(error))
                     ended, served = False, False
@@ -252,6 +256,8 @@ def serve(twin: Twin, listener: socket.socket, orphaned: Callable[[], bool] = la
                     client.line.close()
                     client = None
                     twin.stop("the runtime has gone")
+            if listener in reads:
+                client = _newcomer(twin, listener, client, leaving)
     finally:
         for line in [line for _, line in leaving] + ([] if client is None else [client.line]):
             line.close()
@@ -283,7 +289,7 @@ def _send_away(line: wire.Line, why: str) -> None:
         pass
 
 
-def _answer(twin: Twin, client: _Client) -> tuple[bool, bool]:
+def _answer(twin: Twin, client: _Client, token: str) -> tuple[bool, bool]:
     """Answer what has come; returns whether the client closes the twin, and whether it is served any longer."""
     line = client.line
     line.push()
@@ -291,6 +297,9 @@ def _answer(twin: Twin, client: _Client) -> tuple[bool, bool]:
     message = line.next()
     while message is not None:
         number = message.get("number")
+        client.known = client.known or not token or hmac.compare_digest(str(message.get("token", "")).encode(), token.encode())
+        if not client.known:
+            raise ToolkitError("it serves only who knows its token; give --token with what it printed")
         if message.get("do") == "close":
             return True, False
         try:

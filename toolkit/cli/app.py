@@ -12,6 +12,7 @@ from toolkit.cli.deployment import deploy, export, twin
 from toolkit.cli.inspection import doctor, morph, replay, report, view
 from toolkit.cli.judging import evaluate, verify
 from toolkit.cli.recordings import recordings
+from toolkit.cli.stressing import stress
 from toolkit.cli.systems import match, robots
 from toolkit.cli.terminal import outlets
 from toolkit.cli.training import expert, transfer
@@ -21,7 +22,8 @@ from toolkit.quiet import silence_robosuite
 from toolkit.quoting import plain
 
 app = tyro.extras.SubcommandApp()
-for command in (robots, match, tree, audit, expert, transfer, evaluate, view, report, morph, replay, export, verify, deploy, twin, doctor):
+for command in (robots, match, tree, audit, expert, transfer, evaluate, view, report, morph, replay, export, verify, stress, deploy,
+                twin, doctor):  # fmt: skip
     app.command(command)
 app.command(recordings, name="recordings", help="Recordings of hands: make a stand-in, list, retarget to the source's hand.")
 app.command(bench, name="bench", help="Measure the toolkit itself.")

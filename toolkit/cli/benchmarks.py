@@ -455,3 +455,65 @@ def bench_fuzz(
               [[t.format, t.files, t.refused, t.read, t.broken.total(), f"{1e3 * t.slowest:.0f} ms", t.first] for t in found])  # fmt: skip
     if any(tally.broken for tally in found):
         raise SystemExit(1)
+
+
+@bench.command(name="faults")
+def bench_faults(
+    bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
+    form: Literal["osc", "pose", "joint", "all"] = "all",
+    only: str = "",
+    json: bool = False,
+) -> None:
+    """Inject faults between twin and runtime: lying states, old stamps, orders not obeyed, dead processes, bad clients, a full disk.
+
+    Every fault is played in an episode of its own, through the socket. The exit status is 1 if one is not met as it must be.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle.
+        form: of the commands.
+        only: faults whose name or layer (state, stamp, start, order, process, line, disk) holds this text.
+        json: print one JSON object.
+    """
+    from toolkit.bundle import load_bundle
+    from toolkit.cli.deployment import start_twin
+    from toolkit.deploy.arm import FORMS
+    from toolkit.deploy.drivers.sim import SimDriver
+    from toolkit.deploy.faults import HARMS, Trial, line_trials, trials
+
+    loaded, found = load_bundle(bundle), []
+    harms = tuple(harm for harm in HARMS if only in harm.name or only == harm.layer)
+    forms = FORMS if form == "all" else (form,)
+    others = not only or only in ("process", "line", "disk")
+    if not harms and not others:
+        raise ToolkitError(f"no fault is named {only!r}; give a part of its name, or state, stamp, start, order, process, line or disk")
+    with Progress("faults", quiet=json) as progress:
+
+        def met(trial: Trial) -> None:
+            found.append(trial)
+            unmet = sum(not trial.met for trial in found)
+            progress.show(f"{loaded.manifest.robot.name} {trial.form}", f"{unmet} unmet, last: {trial.fault}", len(found))
+
+        twin, port = start_twin(bundle, "lockstep")
+        arm = SimDriver("127.0.0.1", port)
+        try:
+            info = arm.connect()
+            for each in forms:
+                for trial in trials(loaded, arm, info, each, harms):
+                    met(trial)
+        finally:
+            arm.close()
+            twin.terminate()
+            twin.wait()
+        for trial in line_trials(loaded, lambda pace: start_twin(bundle, pace)) if others else ():
+            met(trial)
+    unmet = [trial for trial in found if not trial.met]
+    if json:
+        emit({"bundle": bundle, "trials": [asdict(trial) for trial in found], "unmet": len(unmet)}, json, "")
+    else:
+        table(f"{loaded.manifest.robot.name}: a bad day", ["fault", "form", "must", "noticed as", "ticks", "mm to hold", "mm to rest",
+                                                           "came of it", ""],
+              [[t.fault, t.form, t.must, t.seen[:60], "" if t.ticks is None else t.ticks, f"{t.to_hold_mm:.1f}", f"{t.to_rest_mm:.1f}",
+                t.outcome[:80], "met" if t.met else "UNMET"] for t in found])  # fmt: skip
+        print(f"{len(found) - len(unmet)} of {len(found)} faults met as they must be.")
+    if unmet:
+        raise SystemExit(1)

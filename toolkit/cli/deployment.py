@@ -24,6 +24,8 @@ FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
 
 LABEL_EPISODES = 40
+TOKEN = "META_EVOLVE_TWIN_TOKEN"
+"""Holds the token of a twin that other machines can reach: on a command line everybody on the machine could read it."""
 OWNER = "META_EVOLVE_TWIN_OWNER"
 """Set for a twin that a deployment starts: the process whose end is also the twin's, however it ends."""
 
@@ -57,6 +59,7 @@ def deploy(
     form: FormName = "osc",
     pace: PaceName = "real",
     connect: str | None = None,
+    token: str | None = None,
     log: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -73,6 +76,7 @@ def deploy(
         form: of the commands: osc (robosuite's own deltas), pose (poses in the base frame), joint (angles, through mink).
         pace: real (the twin's physics follows the clock) or lockstep (it waits for each command; repeatable).
         connect: HOST:PORT of a twin that already runs.
+        token: that it printed, if other machines can reach it; default: from the environment's META_EVOLVE_TWIN_TOKEN.
         log: file for one JSON line per tick; look at it with: meta-evolve view FILE.
         json: print one JSON object.
     """
@@ -84,10 +88,10 @@ def deploy(
     loaded = load_bundle(bundle)
     twin = None
     if connect is None:
-        twin, port = _start_twin(bundle, pace)
+        twin, port = start_twin(bundle, pace)
         arm = SimDriver("127.0.0.1", port)
     else:
-        arm = SimDriver(*_address(connect))
+        arm = SimDriver(*_address(connect), token=token if token is not None else os.environ.get(TOKEN, ""))
     try:
         content = _deploy(loaded, arm, episodes, seed, form, pace, log, json)
     finally:
@@ -162,7 +166,7 @@ def _deployed(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
+def start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
     """A twin in a process of its own, and the port on which it listens."""
     import subprocess
 
@@ -191,9 +195,11 @@ def twin(
     Args:
         bundle: folder, .zip, or the name of a shipped bundle; names robot and task.
         port: to listen on; 0: any free one, which is printed.
-        host: address to listen on; whoever reaches it can move the simulated robot, and nothing else.
+        host: address to listen on. Beyond this machine only who knows the token that is printed can move the simulated robot, or end
+            it; nothing else can be done there. META_EVOLVE_TWIN_TOKEN sets the token.
         pace: real (physics follows the clock) or lockstep (it waits for each command).
     """
+    import secrets
     import socket
 
     from toolkit.bundle import load_bundle
@@ -214,9 +220,19 @@ def twin(
     with listener:
         served = Twin(robot, task, pace)
         listener.listen()  # whoever comes earlier is not kept waiting, but tries again
+        token = "" if _loopback(listener) else os.environ.get(TOKEN) or secrets.token_urlsafe(18)
+        if token and not os.environ.get(TOKEN):
+            print(f"token {token}", flush=True)
         print(f"twin of {robot.name} at {host}:{listener.getsockname()[1]}", flush=True)
         owner = os.environ.get(OWNER)
-        serve(served, listener, orphaned=lambda: owner is not None and os.getppid() != int(owner))
+        serve(served, listener, orphaned=lambda: owner is not None and os.getppid() != int(owner), token=token)
+
+
+def _loopback(listener: Any) -> bool:
+    """Whether a socket can be reached from this machine alone."""
+    import ipaddress
+
+    return ipaddress.ip_address(listener.getsockname()[0].split("%")[0]).is_loopback
 
 
 def _lineage(run: Path, target: str) -> "Lineage":

@@ -154,6 +154,9 @@ class Motion(Protocol):
     def tracking(self, joints: np.ndarray) -> float:
         """Largest difference [rad] of measured from commanded arm angles; 0 where none are commanded."""
 
+    def travel(self, command: Command) -> np.ndarray:
+        """(6,) motion [m, rad] of the grasp frame that a command makes until the next tick; once for every command sent, in order."""
+
 
 class _Base:
     """What the three forms share: limits, gripper, kinematics.
@@ -178,6 +181,7 @@ class _Base:
         gain = np.abs(self._steady) * self.expected.scale * manifest.policy_hz
         self.fastest = np.minimum(1.0, self.box.speed / gain)  # (6,) action from which the arm would exceed its Cartesian speed
         self.last = np.zeros(len(manifest.action))
+        self._sent = np.zeros(6)
         controller = manifest.controller
         self._axis = np.array(controller.base_axis) if controller.turns_with_first_joint else np.zeros(3)
         self._start_angle, self._frame = manifest.start.arm_rad[0], np.eye(3)
@@ -187,7 +191,8 @@ class _Base:
         self.grip.begin()
         self.expected.begin()
         self.last = np.zeros(len(self.low))
-        self.box.begin(self.kinematics.coordinates())
+        self._sent = self.kinematics.coordinates()
+        self.box.begin(self._sent)
 
     def _remember(self) -> None:
         self._before = (self.box.place, self.box.rate, self.grip.command, self.last)
@@ -221,6 +226,11 @@ class _Base:
         """No joint angles are commanded."""
         return 0.0
 
+    def travel(self, command: Command) -> np.ndarray:
+        """See Motion: from where the last command led to where this one does, as a stiff arm goes."""
+        before, self._sent = self._sent, self.coordinates(command)
+        return self._sent - before
+
 
 class OscMotion(_Base):
     """Deltas for a controller like robosuite's OSC_POSE, which re-bases its goal on the achieved pose."""
@@ -249,6 +259,10 @@ class OscMotion(_Base):
         """See Motion: no delta."""
         self.last = np.zeros(len(self.low))
         return self.command("osc", True, np.zeros(6), np.zeros(0), np.zeros((0, 0)))
+
+    def travel(self, command: Command) -> np.ndarray:
+        """See Motion: the measured response to this delta and those before it."""
+        return _turned(self._frame, self.expected.step(command.target))
 
 
 class PoseMotion(_Base):
@@ -285,7 +299,8 @@ class PoseMotion(_Base):
         motion = _turned(frame, motion)
         free = _within(self._free + motion, measured - self.lead, measured + self.lead)
         self._free = _within(free, self.box.low, self.box.high)
-        braking = 0.5 * self.period * max(0.0, -self.box.rate[2])  # what a fall covers in the tick that ends it
+        fall = max(0.0, -self.box.rate[2])
+        braking = 0.5 * fall * (self.period + fall / self.box.acceleration[2])  # what a fall covers until it has ended
         floor = min(measured[2] + self._clearance - self.kinematics.lowest() + braking, self.box.place[2])
         if self._free[2] < floor:  # no closer to the table than is allowed: an end to the motion, where the guard knows but a fault
             self._free[2], motion[2] = floor, max(0.0, motion[2])

@@ -8,7 +8,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
@@ -20,7 +20,7 @@ from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, che
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
 from toolkit.deploy.observer import Observer
-from toolkit.deploy.safety import Fault, Guard
+from toolkit.deploy.safety import OVERDUE, Fault, Guard
 from toolkit.errors import ToolkitError
 
 Pace = Literal["real", "lockstep"]
@@ -105,15 +105,26 @@ class Runtime:
             self.motion.begin(self.observer.arm(state))
         return self._fault
 
-    def tick(self, state: State | Fault, now: float, late: bool = False) -> Tick:
-        """One tick, after ``begin``; a Fault in place of a state is what kept the driver from reading one."""
+    def tick(self, state: State | Fault, now: float, late: bool = False, overdue: float = 0.0) -> Tick:
+        """One tick, after ``begin``.
+
+        Args:
+            state: measured; a Fault in its place is what kept the driver from reading one.
+            now: on the clock of the state's stamp [s].
+            late: whether the last tick ended after its period.
+            overdue: by how much this one begins after its time [s].
+        """
         clock = [time.perf_counter()]
-        fault = self.guard.timing(late)
+        fault = self.guard.timing(late, overdue)
         fault = (state if isinstance(state, Fault) else self.guard.state(state, now)) or fault
         observation, warning, action, command = None, "", np.full(len(self.manifest.action), np.nan), None
         if fault is None:
             observation = self.observer(state, self.motion.grip.command)
             fault = self.guard.observation(observation)
+        if fault is None:
+            fault = self.guard.alive(state, self.motion.grip.opening_m)
+        else:
+            self.guard.blind()
         clock.append(time.perf_counter())
         if fault is None:
             warning = self.guard.unknown(observation)
@@ -132,10 +143,26 @@ class Runtime:
         else:
             self._held = 0
             self._count_goal(observation)
+        self.guard.sent(command, self.motion)
         clock.append(time.perf_counter())
         times = dict(zip(STAGES[1:4], np.diff(clock).tolist(), strict=True))
         command = self.observer.reported(command)
-        return Tick(command, self._fault, self._held > self.manifest.watch.hold_ticks, warning, action, times)
+        return Tick(command, self._fault, self._over, warning, action, times)
+
+    @property
+    def _over(self) -> bool:
+        """Whether the arm has been held long enough to be stopped; nobody who has slept waits any longer."""
+        return self._held > self.manifest.watch.hold_ticks or (self._fault is not None and self._fault.kind == "asleep")
+
+    def overslept(self, tick: Tick, seconds: float) -> Tick:
+        """The tick with a command to hold in place of its own, which would be sent too late [s] for the state that it answers."""
+        if tick.fault is None:
+            self.motion.undo()
+            self._held += 1
+        if self._fault is None or self._fault.passing:
+            self._fault = self.guard.overdue(seconds)
+        self.guard.blind()
+        return replace(tick, command=self.observer.reported(self.motion.hold()), fault=self._fault, stop=self._over)
 
     def _count_goal(self, observation: np.ndarray) -> None:
         goal = observation[-3:] if self.manifest.observation[-1].name == "goal_from_object" else np.full(3, np.inf)
@@ -194,18 +221,23 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
         driver.stop(outcome.stopped)
         log.note(episode, "stop", outcome.stopped)
         return outcome
-    due, late = time.monotonic(), False
+    due, late, overdue = time.monotonic(), False, 0.0
     try:
         for number in range(runtime.manifest.task.horizon_steps + runtime.manifest.watch.hold_ticks):
             began = time.perf_counter()
+            if pace == "real":
+                overdue = max(overdue, time.monotonic() - due)
             state = _read(driver)
             read = time.perf_counter() - began
-            tick = runtime.tick(state, _now(state, pace), late)
+            tick = runtime.tick(state, _now(state, pace), late, overdue)
+            if pace == "real" and (slept := time.monotonic() - due - runtime.period) > OVERDUE:
+                tick = runtime.overslept(tick, slept)
             sending = time.perf_counter()
             sent = _send(driver, tick.command)
             tick.times |= {"read": read, "send": time.perf_counter() - sending}
             due += runtime.period
-            late = pace == "real" and time.monotonic() > due
+            overdue = max(0.0, time.monotonic() - due) if pace == "real" else 0.0
+            late = overdue > 0.0
             _count(outcome, tick, late)
             log.tick(episode, number, state, tick, sent, late)
             if isinstance(sent, Fault):
@@ -217,7 +249,7 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
             if outcome.stopped or outcome.success:
                 break
             if late:
-                due = max(due, time.monotonic())  # what was missed is not made up in a hurry
+                due = time.monotonic()  # what was missed is not made up in a hurry
             elif pace == "real":
                 time.sleep(max(0.0, due - time.monotonic()))
     except BaseException:

@@ -1,7 +1,8 @@
 """What makes the runtime hold an arm, and then stop it. Everything here is on; there is no switch.
 
 A fault is noticed in the tick in which it appears, and the command of that very tick is to hold. A fault that passes
-(a late state, a late tick) lets the arm go on; any other, and one that stays, stops it after the manifest's hold_ticks.
+(a late state, a late tick, a state that comes twice) lets the arm go on; any other, and one that stays, stops it after the
+manifest's hold_ticks.
 """
 
 from dataclasses import dataclass
@@ -10,13 +11,16 @@ import numpy as np
 
 from toolkit.deploy.arm import Command, State
 from toolkit.deploy.kinematics import vector_of
+from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
 from toolkit.deploy.motion import Motion
 from toolkit.deploy.observer import Observer
 from toolkit.manifest import Manifest
 
 COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
-PASSING = ("stale_state", "late_ticks")
+PASSING = ("stale_state", "late_ticks", "frozen_state", "object_frozen")
 """Faults after which an arm may go on once they have passed."""
+OVERDUE, ASLEEP = 0.15, 1.0
+"""[s] by which a single tick, or its command, may come late before the arm is held, and before it is stopped: the world has moved on."""
 SPEED_MARGIN = 1.5
 """Measured joint speed, in units of the limit, from which the arm is held: measured speeds overshoot commanded ones."""
 LIMIT_MARGIN = 0.02
@@ -36,7 +40,14 @@ START_TURN = 0.2
 START_SPEED = 0.1
 """[rad/s] from which on an arm does not stand still."""
 LIFTED = 0.02
-"""Rise [m] of the object from where it rested that counts as lifted."""
+"""Rise [m] of the object from where it rests that counts as lifted."""
+SURE, GONE = 3, 2
+"""Ticks in a row in which the object must be seen lifted, and away from the gripper that lifted it: cameras err by a centimetre."""
+CAMERA = {"object_from_grasp": 0.08, "goal_from_object": 0.08}
+"""[m] that the object may seem to move in a tick, whatever the manifest calls a jump: five standard deviations of what noise of 10 mm,
+which the policies bear, does to a difference."""
+SINKING = 1e-4
+"""[m] that a commanded pose may sink in a tick and yet count as staying."""
 OVERSHOOT = 0.02
 """[m, rad] by which a measured grasp frame may leave the workspace box."""
 
@@ -79,7 +90,7 @@ class Guard:
         self._high = np.array([np.inf if joint.high is None else joint.high for joint in joints])
         self._speed, self._effort = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "effort"))
         self._names = [f"{e.name}[{i}]" if e.size > 1 else e.name for e in manifest.observation for i in range(e.size)]
-        self._jump = np.concatenate([np.array(entry.jump) for entry in manifest.observation])
+        self._jump = np.concatenate([np.maximum(entry.jump, CAMERA.get(entry.name, 0.0)) for entry in manifest.observation])
         seen_low = np.concatenate([np.array(entry.low) for entry in manifest.observation])
         seen_high = np.concatenate([np.array(entry.high) for entry in manifest.observation])
         margin = 0.5 * (seen_high - seen_low) + self._jump
@@ -90,12 +101,19 @@ class Guard:
         self._held = watch.held_m
         names = [entry.name for entry in manifest.observation for _ in range(entry.size)]
         self._object = np.array([i for i, name in enumerate(names) if name == "object_from_grasp"])
+        half = [value for value in np.ravel(manifest.task.object.get("half_size_m", [])) if isinstance(value, float)]
+        self._narrow = 2.0 * min(half, default=0.0)
+        self._rest = manifest.task.table_top_m + (half[-1] if half else 0.0)
+        self._arm_alive, self._object_alive = ArmLiveness(), ObjectLiveness()
         self.begin()
 
     def begin(self) -> None:
         """Forget the last episode."""
         self._last: np.ndarray | None = None
-        self._missed, self._late, self._rest, self._lifted = 1, 0, np.inf, False
+        self._missed, self._late, self._up, self._away, self._lifted = 1, 0, 0, 0, False
+        self._led = np.inf
+        self._arm_alive.begin()
+        self._object_alive.begin()
 
     # -- before the first command
 
@@ -105,7 +123,6 @@ class Guard:
         if fault:
             return fault
         start, arm = self.manifest.start, self.observer.arm(state)
-        self._rest = float(state.object_position[2])
         away = np.abs(arm - np.array(start.arm_rad))
         if away.max() > start.tolerance_rad:
             worst = int(away.argmax())
@@ -150,10 +167,9 @@ class Guard:
         if away.max() > task.noise_xy_m + START_PLACE:
             return Fault("start_pose", f"the object lies at ({place[0]:.3f}, {place[1]:.3f}) m, {away.max():.3f} from its place "
                                        f"{task.object_xy_m} in the task frame, more than {task.noise_xy_m + START_PLACE:.3f}")  # fmt: skip
-        half = task.object.get("half_size_m", [0.0])[-1]
-        height = task.table_top_m + (half if isinstance(half, int | float) else 0.0)
-        if abs(place[2] - height) > START_HEIGHT:
-            return Fault("start_pose", f"the object's centre is at a height of {place[2]:.3f} m, not within {START_HEIGHT} of {height:.3f}")
+        if abs(place[2] - self._rest) > START_HEIGHT:
+            return Fault("start_pose", f"the object's centre is at a height of {place[2]:.3f} m, not within {START_HEIGHT} of "
+                                       f"{self._rest:.3f}")  # fmt: skip
         limit = task.noise_yaw_rad + START_TURN
         turned = _turn(np.asarray(state.object_quaternion, float))
         if turned > limit:
@@ -208,7 +224,8 @@ class Guard:
             if bad.any():
                 worst = int(bad.argmax())
                 return Fault(kind, f"joint {self.manifest.joints[worst].name}: {values[worst]:.3g}, limit {limit[worst]:.3g}")
-        self._lifted = self._lifted or state.object_position[2] > self._rest + LIFTED
+        self._up = self._up + 1 if state.object_position[2] > self._rest + LIFTED else 0
+        self._lifted = self._lifted or self._up >= SURE
         if state.outcome == "lost" or state.object_position[2] < self.manifest.task.lost_below_m:
             return Fault("object_lost", f"the object lies at a height of {state.object_position[2]:.3f} m")
         return None
@@ -252,7 +269,8 @@ class Guard:
             worst = int(out.argmax())
             return Fault("workspace", f"grasp coordinate {COORDINATES[worst]} is {place[worst]:.3f}, outside the workspace box")
         apart = float(np.linalg.norm(observation[self._object])) if self._lifted else 0.0
-        if apart > self._held:
+        self._away = self._away + 1 if apart > self._held else 0
+        if self._away >= GONE or apart > self._held + CAMERA["object_from_grasp"]:
             return Fault("object_lost", f"the lifted object is {apart:.3f} m from the grasp frame, more than {self._held:.3f}")
         return None
 
@@ -276,15 +294,49 @@ class Guard:
             return Fault("workspace", f"the command leads to {COORDINATES[worst]} = {place[worst]:.3f}, outside the workspace box")
         fall = float(place[2] - kinematics.position[2])
         lowest = kinematics.lowest() + fall
-        if fall < 0.0 and lowest < self._clearance:
+        # A pose that leads no lower than the last one is not what brings closing fingers closer to the table.
+        lower, self._led = motion.form == "osc" or place[2] < self._led - SINKING, float(place[2])
+        if fall < 0.0 and lower and lowest < self._clearance:
             return Fault("table_clearance", f"the gripper would come to {lowest - self.manifest.cartesian.table_top_m:.4f} m above "
                                             f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")  # fmt: skip
         if motion.tracking(self._arm) > self.manifest.watch.tracking_rad:
             return Fault("tracking", f"the arm stands {motion.tracking(self._arm):.3f} rad from where it was commanded")
         return None
 
-    def timing(self, late: bool) -> Fault | None:
-        """Count ticks that end after their period."""
+    def alive(self, state: State, opening_m: float) -> Fault | None:
+        """Whether arm and object do what they must after the commands sent; see toolkit/deploy/liveness.py.
+
+        The observer's kinematics stand at the state, which has passed the other checks.
+
+        Args:
+            state: measured.
+            opening_m: between the fingers [m], as commanded.
+        """
+        kinematics = self.observer.kinematics
+        arm = self._arm_alive.check(self._arm, kinematics.coordinates())
+        pose = np.concatenate([state.object_position, state.object_quaternion])
+        item = self._object_alive.check(pose, kinematics.position, opening_m < self._narrow)
+        found = next((wrong for wrong in (arm, item) if wrong[0]), None)
+        return Fault(*found) if found else None
+
+    def blind(self) -> None:
+        """A tick without a state that may be trusted."""
+        self._arm_alive.blink()
+
+    def sent(self, command: Command, motion: Motion) -> None:
+        """Remember what a command does, for ``alive``."""
+        self._arm_alive.sent(motion.travel(command))
+
+    def timing(self, late: bool, overdue: float = 0.0) -> Fault | None:
+        """Count ticks that end after their period, and look at how late [s] this one comes."""
         self._late = self._late + 1 if late else 0
+        if overdue > OVERDUE:
+            return self.overdue(overdue)
         limit = self.manifest.watch.late_ticks
         return Fault("late_ticks", f"{self._late} ticks in a row ended after their period") if self._late >= limit else None
+
+    def overdue(self, seconds: float) -> Fault:
+        """What a tick, or its command, that comes so late [s] is."""
+        if seconds > ASLEEP:
+            return Fault("asleep", f"the policy's side did nothing for {seconds:.1f} s, over {ASLEEP:.0f} s; begin anew from the start")
+        return Fault("late_ticks", f"a tick came {seconds:.2f} s late, more than {OVERDUE} s")

@@ -10,7 +10,6 @@ Every motion ends at rest, so an arm whose runtime has gone stands still at its 
 behind the targets by more than a tick. The runtime's lead limit and tracking check bound how far.
 """
 
-import time
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
 
@@ -48,6 +48,7 @@ class Franka:
         self._arm: Any = None
         self._hand: Any = None
         self._width_sent: float | None = None
+        self._clock = DeviceClock()
 
     def connect(self) -> ArmInfo:
         """See Driver.
@@ -64,7 +65,8 @@ class Franka:
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def read(self) -> State:
-        """See Driver. Efforts are the measured link-side torques [N m], gravity included.
+        """See Driver. Efforts are the measured link-side torques [N m], gravity included; the stamp is the
+        controller's own.
 
         Raises:
             ToolkitError: the hand reports no width that it can have.
@@ -76,7 +78,7 @@ class Franka:
         if not -WIDTH_NOISE <= width <= self.width + WIDTH_NOISE:
             raise ToolkitError(f"the hand reports a width of {width:.3g} m, not from 0 to {self.width:.3f}; is it homed, and in metres?")
         return State(
-            min(stamp, time.monotonic()), np.array(state.q, float), position, quaternion, goal,
+            min(stamp, self._clock(float(state.time.to_sec()))), np.array(state.q, float), position, quaternion, goal,
             opening=float(np.clip(width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
             efforts=np.array(state.tau_J, float), fault=fault,
         )  # fmt: skip

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.drivers.stamps import Changes
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
 
@@ -49,13 +50,15 @@ class Kortex:
         self.robot, self.names, self.scene = robot, tuple(joints), scene
         self._sent = float("inf")
         self._measured = np.zeros(len(self.names))
+        self._changed = Changes()
 
     def connect(self) -> ArmInfo:
         """See Driver."""
         return ArmInfo(self.robot, self.names, (), ("joint",), RATE)
 
     def read(self) -> State:
-        """See Driver. Degrees from 0 to 360 become radians from -pi to pi.
+        """See Driver. Degrees from 0 to 360 become radians from -pi to pi. Kortex gives no time: a state is as old as the last change of
+        any angle, speed or torque, whose noise never rests.
 
         Raises:
             ToolkitError: another number of joints, or no gripper: Kortex gives empty lists for what is not there.
@@ -67,10 +70,11 @@ class Kortex:
             raise ToolkitError(f"the arm reports {len(actuators)} joints, not {len(self.names)}; is it the arm that the bundle is for?")
         if not len(motors):
             raise ToolkitError("the arm reports no gripper; is one mounted, and set in the arm's own configuration?")
+        changed = self._changed([(actuator.position, actuator.velocity, actuator.torque) for actuator in actuators])
         angles = np.radians([actuator.position for actuator in actuators])
         self._measured = (angles + np.pi) % (2 * np.pi) - np.pi
         return State(
-            min(stamp, time.monotonic()), self._measured, position, quaternion, goal,
+            min(stamp, changed), self._measured, position, quaternion, goal,
             opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
             efforts=np.array([actuator.torque for actuator in actuators]),

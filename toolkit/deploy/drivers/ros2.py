@@ -14,13 +14,13 @@ spin the node in a thread of its own, configure the controller's own tolerances,
 ROS speaks rad and m; its quaternions are x y z w, so your scene must turn them round.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.drivers.ur import Grip, Scene
 from toolkit.errors import ToolkitError
 
@@ -51,11 +51,16 @@ class Ros2:
         self._heard: tuple[float, Any] | None = None
         self._there: set[str] = set()  # what has been a number for every joint, and is to be one from then on
         self._stopped = ""
+        self._clock = DeviceClock()
 
     def heard(self, message: Any) -> None:
-        """Callback for /joint_states, on which several may speak: a gripper's own message says nothing of the arm, and hides nothing."""
+        """Callback for /joint_states, on which several may speak: a gripper's own message says nothing of the arm, and hides nothing.
+
+        Its stamp is when it was measured, on the publisher's clock; one that repeats it grows old.
+        """
         if self._heard is None or any(name in message.name for name in self.ros_names):
-            self._heard = time.monotonic(), message
+            seconds = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            self._heard = self._clock(seconds), message
 
     def connect(self) -> ArmInfo:
         """See Driver."""

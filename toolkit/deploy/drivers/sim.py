@@ -20,14 +20,16 @@ class SimDriver:
 
     Args:
         host, port: where it listens.
-        patience: [s] for the first connection, while the twin still loads its robot.
+        patience: [s] for the first connection, while the twin still loads its robot.  answer: [s] for a single answer.
+        token: that a twin which others can reach has printed; empty: it has none.
 
     Attributes:
         pace: of the twin, once connected: "real" or "lockstep".
     """
 
-    def __init__(self, host: str, port: int, patience: float = 120.0) -> None:
-        self.host, self.port, self.patience = host, port, patience
+    def __init__(self, host: str, port: int, patience: float = 120.0, answer: float = PATIENCE, token: str = "") -> None:
+        self.host, self.port, self.patience, self.answer = host, port, patience, answer
+        self.token = token
         self._line: wire.Line | None = None
         self._asked, self._gone = 0, ""
         self.pace = ""
@@ -56,7 +58,7 @@ class SimDriver:
                     ) from None
                 time.sleep(0.1)
         self._asked, self._gone = 0, ""
-        found = self._ask({"do": "describe"})
+        found = self._ask({"do": "describe"} | ({"token": self.token} if self.token else {}))
         self.pace = str(found.pop("pace", ""))
         try:
             info = ArmInfo(**{key: tuple(value) if isinstance(value, list) else value for key, value in found.items()})
@@ -125,7 +127,7 @@ class SimDriver:
             raise ToolkitError(self._gone or "the twin is not connected; call connect first")
         self._asked += 1
         try:
-            answer = wire.exchange(self._line, message | {"number": self._asked}, PATIENCE)
+            answer = wire.exchange(self._line, message | {"number": self._asked}, self.answer)
             if "number" not in answer and "error" in answer:
                 raise ToolkitError(f"it sends this client away: {answer['error']}")
             if answer.pop("number", None) != self._asked:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.kinematics import matrix_of, vector_of
 from toolkit.errors import ToolkitError
 
@@ -69,6 +70,7 @@ class UniversalRobots:
         self._command: Command | None = None
         self._sent, self._streamer = 0.0, None
         self._trouble = ""
+        self._clock = DeviceClock()
 
     def connect(self) -> ArmInfo:
         """See Driver.
@@ -90,7 +92,8 @@ class UniversalRobots:
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def read(self) -> State:
-        """See Driver. Efforts are the controller's target moments [N m]; currents are no torques.
+        """See Driver. Efforts are the controller's target moments [N m]; currents are no torques. The stamp is the controller's own, so
+        that a connection that has died grows old.
 
         Raises:
             ToolkitError: no angles: ur_rtde gives empty lists before the first package and after a lost connection.
@@ -99,11 +102,12 @@ class UniversalRobots:
         joints, speeds, efforts = (np.array(read(), float) for read in (receive.getActualQ, receive.getActualQd, receive.getTargetMoment))
         if len(joints) != len(self.names):
             raise ToolkitError(f"the arm reports {len(joints)} joints, not {len(self.names)}; is it still connected?")
-        fault = self._trouble or ("emergency stop" if receive.isEmergencyStopped() else "")
+        fault = self._trouble or ("" if receive.isConnected() else "the connection to the controller is lost")
+        fault = fault or ("emergency stop" if receive.isEmergencyStopped() else "")
         fault = fault or ("protective stop" if receive.isProtectiveStopped() else "")
         position, quaternion, goal, stamp = self.scene()
         return State(
-            min(stamp, time.monotonic()), joints, position, quaternion, goal, opening=self.opening(),
+            min(stamp, self._clock(float(receive.getTimestamp()))), joints, position, quaternion, goal, opening=self.opening(),
             speeds=speeds if len(speeds) else None, efforts=efforts if len(efforts) else None, fault=fault,
         )  # fmt: skip
 
