@@ -373,7 +373,7 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     """The report as Markdown, for people."""
     lines = [
         f"# {markdown(report['source'])} to {markdown(', '.join(report['targets']))}: {markdown(report['task'])}", "",
-        "| target | direct, untrained | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
+        "| target | direct, untrained | unmodified robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for name, both in report["targets"].items():
         low, high = both["native"]["ci95"]
@@ -396,6 +396,6 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
         f"Wall time {report['wall_s'] / 60:.1f} min; of the transfer's {report['time']['wall_s'] / 60:.1f} min, "
         f"{report['time']['outside_playing']:.0%} went into anything but playing episodes ({report['time']['learn_s']:.0f} s into "
         f"learning). Diverged simulations: {totals['diverged']} (counted as failures)"
-        f"{'; see the first with: meta-evolve replay <run>/divergence.npz' if totals['diverged'] else ''}.",
+        f"{'; the first lies in divergence.npz, for `meta-evolve replay`' if totals['diverged'] else ''}.",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

@@ -21,7 +21,7 @@ Page = Literal["evolution", "morph", "rollouts", "learning", "summary"]
 
 
 def view(
-    path: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    path: Annotated[tuple[Path, ...], tyro.conf.Positional] = (),
     rebuild: bool = False,
     live: bool = False,
     compare: tuple[str, ...] = (),
@@ -319,7 +319,9 @@ def replay(file: Annotated[Path, tyro.conf.Positional], json: bool = False) -> N
 
 
 def doctor(json: bool = False) -> None:
-    """Check versions, models, rendering and Rerun, and say what to mend.
+    """Try what the toolkit needs of this machine, and say what to mend: versions, models, graphics, a still, room, permissions.
+
+    Exit status 1 if it cannot work so; a warning is something that all but pictures do without.
 
     Args:
         json: print one JSON object.

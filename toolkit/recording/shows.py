@@ -25,7 +25,7 @@ from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import Cost, Story, story_layout
 from toolkit.recording.stream import FILM, Stream
 from toolkit.recording.viewer import chunks_of
-from toolkit.runs import Run, read_tree, transfer_records
+from toolkit.runs import Run, continuing, read_tree, transfer_records
 from toolkit.settings import CHECKING_SEEDS
 from toolkit.simulation.plant import Plant, merged_plant
 
@@ -216,7 +216,7 @@ def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
         return (folder / "summary.md").read_text(encoding="utf-8", errors="replace")
     arrived = [record["target"] for record in records if record["event"] == "arrived"]
     return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {markdown(', '.join(arrived)) or 'none yet'}. "
-            "Continue it with `meta-evolve transfer --run RUN --resume` and the settings of its config.json.")  # fmt: skip
+            f"Continue it with `{continuing(folder)}`.")  # fmt: skip
 
 
 def _edges_to(plan: Plan, source: str, target: str) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import FOLDER, Phase, Take, load_phase
 from toolkit.plan import Plan
-from toolkit.quoting import markdown
+from toolkit.quoting import markdown, told
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.recording.layout import page_timeline, pages_layout, robot_view
 from toolkit.recording.learning import LearningPage, learning_views
@@ -42,16 +42,17 @@ SIZE_LIMIT = 170e6
 
 @dataclass
 class Cost:
-    """What a recording has cost: seconds of work, of wall time; bytes of file; films drawn, and films that the phases hold."""
+    """What a recording has cost: seconds of work, of wall time; bytes of file; films drawn, and films that the phases hold, of a run."""
 
     seconds: float = 0.0
     wall: float = 0.0
     size: int = 0
     drawn: int = 0
     known: int = 0
+    run: Path = Path("RUN")
 
     def __str__(self) -> str:
-        left = "" if self.drawn == self.known else "; `meta-evolve view RUN --rebuild` plays the rest"
+        left = "" if self.drawn == self.known else f"; play the rest with: {told('view', self.run, '--rebuild')}"
         return (f"recording: {self.size / 1e6:.1f} MB, {self.seconds:.1f} s of logging ({self.seconds / max(self.wall, 1e-9):.1%} of "
                 f"{self.wall:.0f} s), {self.drawn} of {self.known} episodes{left}")  # fmt: skip
 
@@ -82,7 +83,7 @@ class Story:
         records: Sequence[dict[str, Any]] = (),
     ) -> None:
         self._began = self._busy_since = time.perf_counter()
-        self.cost = Cost()
+        self.cost = Cost(run=folder)
         self.stream, self.folder, self.merged, self.policy, self.share = stream, folder, merged, policy, share
         self._native, self._plants = native, {}
         self.clock, self.iteration = 0.0, 0
