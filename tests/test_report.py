@@ -40,6 +40,11 @@ def finished(small, tmp_path_factory):
     made.append_metrics({"event": "moved", "distance": 0.0, **cost})
     native = {"successes": 31, "episodes": 40, "success_rate": 0.775, "ci95": [0.63, 0.88]}
     totals = {"train_iterations": 3, "sim_epochs": 36, "check_episodes": 16, "diverged": 0}
+    robot = {"grip_n": 9.0, "balance": 1.0, "height_mm": None, "opening_mm": 90.0, "closing_steps": 4.0, "clearance_mm": 20.0,
+             "tracking": 0.0, "script": None}  # fmt: skip
+    edge = {"from": "adroit", "to": "jaco", "robots": [{"share": 0.0, **robot}, {"share": 1.0, **robot}],
+            "violations": [{"share": 0.5, "quantity": "grip_n", "value": 2.0, "allowed": [7.0, None], "cause": None}]}  # fmt: skip
+    made.write_json("audit", {"verdict": "audit: 1 of 1 edges lead through worse robots", "edges": [edge]})
     made.write_json("report", {"targets": {"jaco": {"native": native, "merged": native}}, "totals": totals, "wall_s": 120.0})
     return folder
 
@@ -80,7 +85,8 @@ def test_the_page_stands_alone_and_is_sound(written):
     assert "31 of 40" in text and "0.63 to 0.88" in text and "<b>&" in text, "what comes from the run is escaped"
     assert 'name="viewport"' in written.read_text(), "a phone shows it at its own width"
     pictures = {file.stem for file in written.parent.glob("*.png")}
-    assert {"tree", "projection", "curves", "parameters"} <= pictures
+    assert {"tree", "projection", "curves", "parameters", "audit"} <= pictures
+    assert "1 of 1 edges lead through worse robots" in text
     assert len(parser.links) == len(pictures)
 
 

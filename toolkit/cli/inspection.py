@@ -1,5 +1,6 @@
 """view, morph, report, replay, doctor: looking at a run, at robots turning into robots, at what went wrong, at the installation."""
 
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
-from toolkit.cli.terminal import Progress, emit, table
+from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 from toolkit.quoting import told
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from toolkit.recording.layout import Layout
     from toolkit.recording.shows import Known
 
+STILLS = (".png",)
+"""What the viewer saves."""
 Page = Literal["evolution", "morph", "rollouts", "learning", "summary"]
 
 
@@ -44,7 +47,7 @@ def view(
         compare: one or two targets, or one target of two runs: their final policies side by side, from the same seed.
         seed: of the start in --compare; the default is the first of `meta-evolve evaluate`.
         page: show this page alone.
-        still: save what the viewer shows as a PNG instead of opening it; with --page or --compare at the moment --at.
+        still: save what the viewer shows as a PNG instead of opening it, at the moment --at; of a run without --page the evolution.
         at: moment of the still or of the excerpt: seconds of the film, on the page learning the iteration; default: the last.
         size: of the still, WIDTHxHEIGHT.
         out: file for what --compare or --rebuild makes; default: inside the run folder. With --page, or --compare and --at:
@@ -57,6 +60,9 @@ def view(
         return
     from toolkit.recording import shows, stream, viewer
 
+    room_for(still, STILLS)
+    if still is not None and page is None and not compare and path[0].is_dir():
+        page = "evolution"  # the tab that a run opens with
     frozen = (still or out) is not None and (page is not None or (compare and (at is not None or still is not None)))
     whole = None if frozen else out
     if compare:
@@ -67,15 +73,23 @@ def view(
     if frozen:
         _freeze(file, "compare" if compare else page, at, layout, still, size, out)
     elif still is not None:
-        viewer.still([file], still, at, size)
+        viewer.still([file], still, _last(file, at), size)
     elif out is None:
         files = [file]
-        if page is not None and not compare:
-            files.append(_folder(path[0]) / f"{page}.rbl")
+        known = (path[0] / "tree.json").is_file() and os.access(path[0], os.W_OK)
+        if not compare and (page is not None or known):  # with what is known now of the run's curves
+            files.append(_folder(path[0]) / f"{page or 'pages'}.rbl")
             layout(False).save(stream.APPLICATION, str(files[-1]))
         _open(*files)
         return
     print(still or out)
+
+
+def _last(file: Path, at: float | None) -> float | None:
+    """``at``, or the last moment of a recording: where a picture is the same each time. None if it has no film."""
+    from toolkit.recording import excerpt
+
+    return excerpt.moment_of(file, at, "morph") or None
 
 
 def _folder(path: Path) -> Path:
@@ -254,12 +268,13 @@ def morph(
         at: moment of the still [s].
         size: of the still, WIDTHxHEIGHT.
     """
+    room_for(still, STILLS)
     lab = make_lab(source, targets, task)
     from toolkit.recording import shows, viewer
 
     shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
-        viewer.still([out], still, at, size)
+        viewer.still([out], still, _last(out, at), size)
     print(f"{out}; look at it with: {told('view', out)}")
 
 

@@ -130,7 +130,7 @@ def room_for(file: Path | None, endings: Sequence[str] = PICTURES) -> None:
     if file is None:
         return
     if file.suffix.lower() not in endings or file.is_dir():
-        raise ToolkitError(f"the plot cannot be written to {file}; name a {' or '.join(endings[:2])} file")
+        raise ToolkitError(f"the picture cannot be written to {file}; name a {' or '.join(endings[:2])} file")
     if not file.parent.is_dir() or not os.access(file.parent, os.W_OK):
         raise ToolkitError(f"{file} cannot be written: {file.parent} is no folder, or not yours to write to; choose another one")
 

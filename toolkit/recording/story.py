@@ -4,7 +4,7 @@ The same story is told while the run goes on, when a run folder is rebuilt, and 
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from toolkit.film import shoot
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import FOLDER, Phase, Take, load_phase
+from toolkit.phases import FOLDER, ROLES, Phase, Take, load_phase
 from toolkit.plan import Plan
 from toolkit.quoting import markdown, told
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
@@ -35,7 +35,8 @@ MORPH_SECONDS = 2.0
 PAUSE = 0.4
 """[s] between two scenes of the film."""
 SHARE = 0.03
-"""Of a running transfer's wall time that logging may take; what does not fit is left to a rebuild."""
+"""Of a running transfer's wall time that logging may take. At its end the landmarks are drawn all the same; the rest is left to a
+rebuild."""
 SIZE_LIMIT = 170e6
 """[bytes] from which on no more episodes are drawn, so that a recording stays under 200 MB."""
 
@@ -89,6 +90,7 @@ class Story:
         self.clock, self.iteration = 0.0, 0
         self._paths: dict[str, dict[str, Any]] = {}  # path -> targets, phases ended, last success
         self._waiting: list[tuple[Phase, Take]] = []
+        self._known: list[tuple[Phase, Take]] = []
         self._shown: set[str] = set()  # names of phases
         self._longest = 0.0
         wardrobe = Wardrobe(merged.space.matching)
@@ -144,6 +146,7 @@ class Story:
         self._busy_since = time.perf_counter()
         self._show_going()
         self._play_waiting()
+        self._play_landmarks()
         self.learning.repeat(self.clock, self.clock + 1.0)
         self.stream.close()
         self.cost.size = self.stream.path.stat().st_size if self.stream.path is not None else 0
@@ -197,6 +200,7 @@ class Story:
             self.rollouts.caption(float(times[0]), self.iteration, f"**{markdown(path)}**, phase {phase.number}: the robot moves on.")
             self.clock = float(times[-1]) + PAUSE
         self.evolution.walked(self.clock, self.iteration, phase.start, end, phase.targets, success)
+        self._known += [(phase, take) for take in phase.takes]
         self._waiting += [(phase, take) for take in sorted(phase.takes, key=_priority if self.share is not None else _in_order)]
         self.cost.known += len(phase.takes)
 
@@ -217,6 +221,13 @@ class Story:
             before = self._spent()
             self._play(*self._waiting.pop(0))
             self._longest = max(self._longest, self._spent() - before)
+
+    def _play_landmarks(self) -> None:
+        """Whatever the share: every path has something to watch, also of a run that was too quick to draw while it went on."""
+        waiting = {id(take) for _, take in self._waiting}
+        for phase, take in landmarks(self._known):
+            if id(take) in waiting and (self.stream.path is None or self.stream.path.stat().st_size <= SIZE_LIMIT):
+                self._play(phase, take)
 
     def _play(self, phase: Phase, take: Take) -> None:
         plant = self._plant(phase, take)
@@ -257,15 +268,37 @@ class Story:
                 f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")  # fmt: skip
 
 
-def story_layout(plan: Plan, extent: Extent | None, page: str | None = None, excerpt: bool = False) -> rrb.Blueprint:
-    """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best, or of an excerpt."""
+def story_layout(
+    plan: Plan, extent: Extent | None, page: str | None = None, excerpt: bool = False, flat: Collection[str] = ()
+) -> rrb.Blueprint:
+    """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best, or of an excerpt.
+
+    Args:
+        plan: of its tree.
+        extent: of its heat map.
+        page: one of PAGES; None: all.
+        excerpt: of one.
+        flat: curves in whose place a sentence stands.
+    """
 
     def views() -> dict[str, rrb.View]:
         own = {"scene": robot_view("Episode: goal, trail, OSC target, contact forces"),
                "summary": rrb.TextDocumentView(origin="summary", name="Summary")}  # fmt: skip
-        return evolution_views(plan, extent) | learning_views() | rollouts_views(whole=excerpt) | own
+        return evolution_views(plan, extent) | learning_views(flat) | rollouts_views(whole=excerpt) | own
 
     return pages_layout(views, page, page_timeline(page))
+
+
+def landmarks(scenes: Sequence[tuple[Phase, Take]]) -> list[tuple[Phase, Take]]:
+    """Of all episodes that are kept, in order: of every path the first, the first failure, the best, the worst and the last."""
+    found = []
+    for path in dict.fromkeys(phase.path for phase, _ in scenes):
+        own = {role: [scene for scene in scenes if scene[0].path == path and role in scene[1].roles] for role in ROLES}
+        chosen = [own["first"][:1], own["failure"][:1], own["last"][-1:]]
+        chosen += [sorted(own["best"], key=lambda scene: -scene[1].score)[:1], sorted(own["worst"], key=lambda scene: scene[1].score)[:1]]
+        picked = {id(take) for some in chosen for _, take in some}
+        found += [scene for scene in scenes if id(scene[1]) in picked]
+    return found
 
 
 def _priority(take: Take) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from toolkit.capability.figure import audit_figure
 from toolkit.errors import ToolkitError
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
@@ -72,6 +73,9 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     pictures["curves"] = figures.png(figures.curves_figure(records))
     pictures["parameters"] = figures.png(figures.heat_figure(merged.space, {
         name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))  # fmt: skip
+    audit = read_audit(folder)
+    if audit is not None:
+        pictures["audit"] = figures.png(audit_figure(audit["edges"]))
     missing = unread
     try:
         for index, strip in enumerate(_strips(plan, merged, progress), start=1):

@@ -6,12 +6,12 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from tasks.pick import TABLE_FULL_SIZE, TABLE_TOP
 from toolkit.errors import ToolkitError
+from toolkit.furniture import furniture, opacity
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 
-CAMERA = {"lookat": (-0.17, 0.0, 1.06), "distance": 1.05, "azimuth": 125.0, "elevation": -18.0}
+CAMERA = {"lookat": (-0.27, 0.0, 1.12), "distance": 1.5, "azimuth": 125.0, "elevation": -18.0}
 """Where the picture is taken from: [m], [m], [deg], [deg]."""
 
 
@@ -50,16 +50,17 @@ class Studio:
         positions, quaternions = self.wardrobe.poses(self._robot_data, self._links)
         weights = self.wardrobe.weights(alpha, self.merged.space.betas)
         drawn: list[int] = []
+        shares = np.zeros(len(self.wardrobe.worn))
         for k, item in enumerate(self.wardrobe.worn):
             self._data.mocap_pos[k], self._data.mocap_quat[k] = positions[k], quaternions[k]
             twins = [j for j in drawn if self.wardrobe.worn[j].mesh == item.mesh and self.wardrobe.worn[j].robot != item.robot
                      and np.abs(positions[j] - positions[k]).max() < 1e-3]  # fmt: skip
-            opacity = weights[item.robot]
+            shares[k] = weights[item.robot]
             if twins:  # arms that robots share: one picture, with the weight of both
-                self._model.geom_rgba[self._worn[twins[0]], 3] = min(1.0, self._model.geom_rgba[self._worn[twins[0]], 3] + opacity)
-                opacity = 0.0
-            self._model.geom_rgba[self._worn[k], 3] = opacity
+                shares[twins[0]] += shares[k]
+                shares[k] = 0.0
             drawn.append(k)
+        self._model.geom_rgba[self._worn, 3] = opacity(shares, weights.max())
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         everything = mujoco.mjtCatBit.mjCAT_ALL
@@ -91,8 +92,11 @@ def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
         colour = wardrobe.meshes[item.mesh].colours.mean(axis=0) / 255
         body = spec.worldbody.add_body(name=f"worn{k}", mocap=True)
         body.add_geom(name=f"worn{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{item.mesh}", contype=0, conaffinity=0, rgba=colour)
-    half = np.array(TABLE_FULL_SIZE) / 2
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]], rgba=[0.8, 0.78, 0.74, 1])
+    for mesh in furniture(merged.space.matching.systems[0].model):
+        asset = spec.add_mesh(name=mesh.name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, contype=0, conaffinity=0,
+                                rgba=mesh.colours.mean(axis=0) / 255)  # fmt: skip
     thing = merged.template.body("object")
     geom = merged.template.geom(int(merged.template.body_geomadr[thing.id]))
     if geom.type[0] != mujoco.mjtGeom.mjGEOM_MESH:
