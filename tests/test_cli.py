@@ -236,6 +236,13 @@ def test_viewing_what_has_no_recording(capsys, trained):
     assert "make it with --rebuild" in refusal(capsys, "view", trained)
 
 
+@pytest.mark.parametrize("option, name", [("--still", "a.jpg"), ("--still", "a"), ("--video", "a.avi"), ("--video", "a")])
+def test_a_picture_or_film_that_cannot_be_is_refused_before_the_work(capsys, trained, option, name):
+    said = refusal(capsys, "view", trained, option, name)
+    assert f"cannot be written to {name}; name a {'.png file' if option == '--still' else '.mp4 or .gif file'}" in said
+    assert not Path(name).exists()
+
+
 def test_viewing_needs_one_run_or_two_to_compare(capsys, trained):
     assert "takes one run folder" in refusal(capsys, "view", trained, trained)
     assert "compare two targets" in refusal(capsys, "view", trained, "--compare", "kinova3")

@@ -33,9 +33,12 @@ TESTED: dict[str, tuple[str, str | None]] = {  # package -> from, and below
     "llvmlite": ("0", None),
     "pyyaml": ("6", None),
     "matplotlib": ("0", None),
+    "pillow": ("10.1", None),
+    "opencv-python": ("0", None),
     "tyro": ("0", None),
     "rich": ("0", None),
 }
+OPTIONAL = {"rerun-sdk": "pip install 'meta-evolve[viewer]', to look at runs"}
 ROBOTS = ("Jaco", "Kinova3", "IIWA")
 RENDER_PROBE = """
 import mujoco
@@ -113,8 +116,9 @@ def checks(logs: Path | str = "logs") -> list[Check]:
     found.append(_guarded("off-screen rendering", _rendering, "leave out pictures and videos, or install EGL or OSMesa"))
     if sys.platform == "linux":  # elsewhere the viewer draws with what the system has
         found.append(_guarded("Vulkan", _vulkan, VULKAN_MEND))
-    found.append(_guarded("Rerun recording", _recording, "pip install --force-reinstall rerun-sdk"))
-    found.append(_guarded("a still of the viewer", _still, VULKAN_MEND))
+    if importlib.util.find_spec("rerun") is not None:
+        found.append(_guarded("Rerun recording", _recording, "pip install --force-reinstall rerun-sdk"))
+        found.append(_guarded("a still of the viewer", _still, VULKAN_MEND))
     found.append(_guarded("logs folder", lambda: _logs(Path(logs)), f"choose a folder you may write to with --run, not {logs}"))
     found.append(_guarded("temporary folder", _temporary, "set TMPDIR to a folder you may write to"))
     found.append(_guarded("free disk", lambda: _disk(Path(logs)), f"free some, or choose a folder on another disk with --run, not {logs}"))
@@ -141,7 +145,7 @@ def _package(package: str) -> Check:
     try:
         version = metadata.version(package)
     except metadata.PackageNotFoundError:
-        return Check(package, False, f"not installed; {wanted}", _install(package))
+        return Check(package, None if package in OPTIONAL else False, f"not installed; {wanted}", OPTIONAL.get(package, _install(package)))
     good = _key(version) >= _key(lowest) and (below is None or _key(version) < _key(below))
     return Check(package, good, version if good else f"{version}; {wanted}", "" if good else _install(package))
 

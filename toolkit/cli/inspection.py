@@ -1,6 +1,7 @@
 """view, morph, report, replay, doctor: looking at a run, at robots turning into robots, at what went wrong, at the installation."""
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from toolkit.recording.layout import Layout
     from toolkit.recording.shows import Known
 
-STILLS = (".png",)
-"""What the viewer saves."""
+STILLS, VIDEOS = (".png",), (".mp4", ".gif")
+"""What the viewer saves, and what films are written as."""
 Page = Literal["evolution", "morph", "rollouts", "learning", "summary"]
 
 
@@ -34,6 +35,7 @@ def view(
     at: float | None = None,
     size: str = "1600x1000",
     out: Path | None = None,
+    video: Path | None = None,
 ) -> None:
     """Look at a run in the Rerun viewer: evolution, morph, rollouts, learning, summary, each a tab.
 
@@ -52,6 +54,7 @@ def view(
         size: of the still, WIDTHxHEIGHT.
         out: file for what --compare or --rebuild makes; default: inside the run folder. With --page, or --compare and --at:
             that page as it is at that moment, as a small recording of its own.
+        video: write a run as a film that needs no viewer instead of opening it (MP4 or GIF).
     """
     if not path or len(path) > 2 or (len(path) == 2 and not compare):
         raise ToolkitError(f"view takes one run folder or .rrd file, and two run folders with --compare; got {len(path)}")
@@ -61,6 +64,9 @@ def view(
     from toolkit.recording import shows, stream, viewer
 
     room_for(still, STILLS)
+    if video is not None:
+        print(f"{video}: {_film(path[0], video):.0f} s")
+        return
     if still is not None and page is None and not compare and path[0].is_dir():
         page = "evolution"  # the tab that a run opens with
     frozen = (still or out) is not None and (page is not None or (compare and (at is not None or still is not None)))
@@ -83,6 +89,16 @@ def view(
         _open(*files)
         return
     print(still or out)
+
+
+def _film(run: Path, video: Path, progress: Progress | None = None) -> float:
+    """A run as a film; its length [s]."""
+    room_for(video, VIDEOS)
+    known = known_run(run)
+    from toolkit.report.video import write_video
+
+    with Progress("video", quiet=False) if progress is None else nullcontext(progress) as line:
+        return write_video(run, known.merged, known.tree(), known.policy, known.native, video, lambda what: line.show("video", what))
 
 
 def _last(file: Path, at: float | None) -> float | None:
@@ -278,7 +294,9 @@ def morph(
     print(f"{out}; look at it with: {told('view', out)}")
 
 
-def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, json: bool = False) -> None:
+def report(
+    run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, video: Path | None = None, json: bool = False
+) -> None:
     """Write a run's report for those without a viewer: one self-contained HTML page, and its pictures as PNGs.
 
     Tree, curves, table of targets, stills along each path, parameters, configuration. A run that goes on, or was stopped,
@@ -287,13 +305,17 @@ def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, 
     Args:
         run: a run folder.
         out: folder of the page; default: RUN/page.
+        video: also write the run as a film (MP4 or GIF).
         json: print the page's path and its pictures as one JSON object.
     """
+    room_for(video, VIDEOS)
     known = known_run(run)
     from toolkit.report.page import write_report
 
     with Progress("report", quiet=json) as progress:
         page = write_report(run, known.merged, known.tree(), out, lambda what: progress.show("report", what, now=True))
+        if video is not None:
+            _film(run, video, progress)
     pictures = sorted(str(file) for file in page.parent.glob("*.png"))
     emit({"page": str(page), "pictures": pictures}, json, f"{page}, and {len(pictures)} pictures beside it")
 

@@ -18,7 +18,7 @@ from toolkit.film import shoot
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import FOLDER, ROLES, Phase, Take, load_phase
+from toolkit.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.plan import Plan
 from toolkit.quoting import markdown, told
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
@@ -287,18 +287,6 @@ def story_layout(
         return evolution_views(plan, extent) | learning_views(flat) | rollouts_views(whole=excerpt) | own
 
     return pages_layout(views, page, page_timeline(page))
-
-
-def landmarks(scenes: Sequence[tuple[Phase, Take]]) -> list[tuple[Phase, Take]]:
-    """Of all episodes that are kept, in order: of every path the first, the first failure, the best, the worst and the last."""
-    found = []
-    for path in dict.fromkeys(phase.path for phase, _ in scenes):
-        own = {role: [scene for scene in scenes if scene[0].path == path and role in scene[1].roles] for role in ROLES}
-        chosen = [own["first"][:1], own["failure"][:1], own["last"][-1:]]
-        chosen += [sorted(own["best"], key=lambda scene: -scene[1].score)[:1], sorted(own["worst"], key=lambda scene: scene[1].score)[:1]]
-        picked = {id(take) for some in chosen for _, take in some}
-        found += [scene for scene in scenes if id(scene[1]) in picked]
-    return found
 
 
 def _priority(take: Take) -> tuple[int, int]:
