@@ -511,7 +511,7 @@ def test_without_the_viewer_a_sentence_says_how_to_have_it():
         "import sys; sys.modules['rerun'] = None; from toolkit.cli import main\n"
         "import importlib.util; found = importlib.util.find_spec\n"
         "importlib.util.find_spec = lambda name, *more: None if name == 'rerun' else found(name, *more)\n"
-        "import toolkit.pipeline; main(['view', 'run.rrd'])"
+        "from toolkit.quiet import silence_robosuite; silence_robosuite(); import toolkit.pipeline; main(['view', 'run.rrd'])"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
                           text=True)  # fmt: skip
