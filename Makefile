@@ -1,7 +1,7 @@
 # After the install line of README.md. `make check` is what a change must pass; .ci/run does it from nothing.
 PYTHON ?= .venv/bin/python
 
-.PHONY: check lint format test bundles
+.PHONY: check lint format test docs dist bundles
 
 check: lint test
 
@@ -13,6 +13,13 @@ format:
 
 test:
 	$(PYTHON) -m pytest -q
+
+docs:
+	$(PYTHON) docs/site.py
+
+# Needs `pip install build`; the wheel holds experts and bundles, so that its first command works from any folder.
+dist:
+	$(PYTHON) -m build
 
 # The bundles that come with the package, anew from a finished run: each is exported and proven before any is replaced.
 #     make bundles RUN=logs/my-run [TARGETS="jaco iiwa"]

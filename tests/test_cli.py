@@ -236,6 +236,13 @@ def test_viewing_what_has_no_recording(capsys, trained):
     assert "make it with --rebuild" in refusal(capsys, "view", trained)
 
 
+@pytest.mark.parametrize("option, name", [("--still", "a.jpg"), ("--still", "a"), ("--video", "a.avi"), ("--video", "a")])
+def test_a_picture_or_film_that_cannot_be_is_refused_before_the_work(capsys, trained, option, name):
+    said = refusal(capsys, "view", trained, option, name)
+    assert f"cannot be written to {name}; name a {'.png file' if option == '--still' else '.mp4 or .gif file'}" in said
+    assert not Path(name).exists()
+
+
 def test_viewing_needs_one_run_or_two_to_compare(capsys, trained):
     assert "takes one run folder" in refusal(capsys, "view", trained, trained)
     assert "compare two targets" in refusal(capsys, "view", trained, "--compare", "kinova3")
@@ -514,11 +521,72 @@ def test_every_command_of_the_contract_is_there(importable):
     assert {"deploy", "bench"} <= set(re.findall(r"• (\w+)", done.stdout))
 
 
-def test_no_command_is_usage_and_no_traceback(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main([])
-    out, err = capsys.readouterr()
-    assert stop.value.code == 2 and "Traceback" not in out + err
+def test_no_command_is_the_help(capsys):
+    main([])
+    bare, _ = capsys.readouterr()
+    main(["--help"])
+    assert bare == capsys.readouterr().out and "usage: meta-evolve" in bare
+
+
+def test_the_version_is_said(capsys):
+    from toolkit import __version__
+
+    main(["--version"])
+    assert capsys.readouterr().out == f"meta-evolve {__version__}\n"
+
+
+@pytest.mark.parametrize("typed, meant", [("trnasfer", "transfer"), ("repot", "report"), ("docter", "doctor")])
+def test_a_mistyped_command_is_guessed(capsys, typed, meant):
+    assert refusal(capsys, typed) == f"{typed!r} is no command; did you mean: meta-evolve {meant}"
+
+
+def test_what_resembles_no_command_is_sent_to_the_help(capsys):
+    assert refusal(capsys, "xyzzy") == "'xyzzy' is no command; meta-evolve --help lists them"
+
+
+@pytest.mark.parametrize("command", [*COMMANDS[:-2], "replay", "recordings retarget", "bench transfer", "bench engine", "bench fuzz"])
+def test_help_says_what_to_give_and_no_more(capsys, command):
+    """No default that is nothing, one form of every switch, lines as wide as the terminal and not as wide as the source."""
+    main([*command.split(), "--help"])
+    out, _ = capsys.readouterr()
+    assert "None" not in out and "--no-json" not in out and "(default: )" not in out and "(default: False)" not in out
+
+
+def test_help_keeps_defaults_that_say_something(capsys):
+    main(["transfer", "--help"])
+    out = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "--seed INT of everything random. (default: 0)" in out and "--xi FLOAT" in out
+    assert "first an offset of what the policy sees, held for an episode" in out
+
+
+@pytest.mark.parametrize("width", [40, 200])
+def test_a_narrow_terminal_breaks_no_name(capsys, monkeypatch, width):
+    """On a terminal of any width every name of a table is there in one piece."""
+    import rich.console
+
+    from robots import ROBOTS
+
+    monkeypatch.setattr(rich.console.Console, "is_terminal", True)
+    monkeypatch.setenv("COLUMNS", str(width))
+    main(["robots"])
+    out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).split("Tasks:")[0]
+    assert max(map(len, out.splitlines())) <= width
+    for robot in ROBOTS.values():
+        assert robot.name in out.split() and robot.gripper.robosuite_type in out.split(), out
+
+
+def test_a_document_is_drawn_on_a_terminal_alone(capsys, monkeypatch):
+    import rich.console
+
+    from toolkit.cli.terminal import document
+
+    text = "# adroit to jaco\n\n| target | unmodified robot |\n|---|---|\n| jaco | 3 of 4 |\n"
+    document(text)
+    assert capsys.readouterr().out == text + "\n", "a file gets Markdown"
+    monkeypatch.setattr(rich.console.Console, "is_terminal", True)
+    document(text)
+    out = capsys.readouterr().out
+    assert "|---|" not in out and "3 of 4" in out and "━" in out
 
 
 # -- stopped -------------------------------------------------------------------------------------------------
@@ -534,7 +602,43 @@ def test_ctrl_c_is_no_traceback(capsys, monkeypatch, points):
     with pytest.raises(SystemExit) as stop:
         main(["tree", "--points", points])
     out, err = capsys.readouterr()
-    assert stop.value.code == 130 and out == "" and len(err.splitlines()) == 1 and "--resume" in err
+    assert stop.value.code == 130 and out == "" and err == "meta-evolve: stopped\n", "a tree leaves nothing to go on with"
+
+
+@pytest.mark.parametrize("given", [[], ["--resume"]])
+def test_ctrl_c_says_the_whole_command_that_goes_on(capsys, monkeypatch, given):
+    from toolkit import pipeline
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "Pipeline", stopped)
+    with pytest.raises(SystemExit) as stop:
+        main(["transfer", "--targets", "jaco", "--run", "my run", *given])
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == "meta-evolve: stopped; continue with: meta-evolve transfer --targets jaco --run 'my run' --resume\n"
+
+
+def test_an_unfinished_run_is_continued_by_the_command_that_started_it(capsys, monkeypatch, trained):
+    """Quoted anew, whatever the file says: it may come from anywhere."""
+    from toolkit import pipeline
+
+    class Stopped:
+        def __init__(self, *_):
+            self.run = Run.open(trained)
+
+        def play(self):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "Pipeline", Stopped)
+    with pytest.raises(SystemExit):
+        main(["transfer", "--targets", "kinova3", "iiwa", "--seed", "3", "--run", trained])
+    capsys.readouterr()
+    said = refusal(capsys, "evaluate", trained, "--target", "iiwa")
+    assert said.endswith(f"finish it with: meta-evolve transfer --targets kinova3 iiwa --seed 3 --run {trained} --resume")
+    Path(trained, "command.json").write_text('{"words": ["transfer", "; rm -r $HOME"]}')
+    assert refusal(capsys, "evaluate", trained, "--target", "iiwa").endswith(
+        f"meta-evolve transfer '; rm -r $HOME' --run {trained} --resume")  # fmt: skip
 
 
 # -- recordings ------------------------------------------------------------------------------------------------

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.expert import load_expert
-from toolkit.phases import Witness
+from toolkit.phases import Phase, Take, Witness, landmarks, load_phases
 from toolkit.plan import Plan, matrix
-from toolkit.recording import excerpt, rollouts, shows, viewer
+from toolkit.recording import excerpt, learning, rollouts, shows, viewer
 from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import SHARE, Story
 from toolkit.recording.stream import Stream
@@ -100,7 +100,7 @@ def rows(rebuilt):
 
 
 def seconds(row):
-    return row["film"].total_seconds()
+    return row["film"].total_seconds() if "film" in row else -np.inf  # furniture stands there at all times
 
 
 def test_every_page_is_there_and_small(rebuilt, rows):
@@ -219,12 +219,76 @@ def test_contacts_and_signals_of_a_film(rows):
 
 
 def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
-    """With no time at all, curves and ways are told and no episode is played; a rebuild plays them."""
+    """With no time at all, curves and ways are told, and of every path the landmarks at the end; a rebuild plays the rest."""
     story = Story(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, 1e-9,
                   Run.open(known.folder).read_metrics())  # fmt: skip
     cost = story.finish()
-    assert cost.drawn == 0 and cost.known == 4 and "--rebuild" in str(cost) and 0 < SHARE <= 0.03
-    assert "/learning/success" in entities(tmp_path / "a.rrd")
+    kept = landmarks([(phase, take) for phase in load_phases(known.folder).values() for take in phase.takes])
+    assert 2 <= cost.drawn == len(kept) <= cost.known == 4 and 0 < SHARE <= 0.03
+    assert cost.drawn == 4 or f"meta-evolve view {known.folder} --rebuild" in str(cost)
+    told = entities(tmp_path / "a.rrd")
+    assert "/learning/success" in told
+    captions = [row["TextDocument:text"][0] for row in told["/signals/caption"]]
+    assert any("first" in text for text in captions) and any("last" in text for text in captions)
+
+
+def test_landmarks_are_of_the_whole_path():
+    def phase(path, number, takes):
+        return Phase(path, number, "evolve", ["t"], np.zeros(1), None, [], takes)
+
+    def take(seed, score, *roles):
+        return Take(seed, False, score > 0, False, 9, score, 0, 0, np.zeros(1), list(roles))
+
+    one = phase("path 1", 0, [take(1, -0.2, "first", "failure", "worst"), take(2, 1.1, "best", "last")])
+    two = phase("path 1", 1, [take(3, -0.9, "first", "worst", "failure"), take(4, 1.5, "best"), take(5, 1.2, "last")])
+    three = phase("path 2", 0, [take(6, 1.0, "first", "best", "worst", "last")])
+    kept = landmarks([(each, t) for each in (one, two, three) for t in each.takes])
+    assert [t.seed for _, t in kept] == [1, 3, 4, 5, 6], "first and first failure, worst, best, last; of the other path its only one"
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "gif"])
+def test_a_run_becomes_a_film(tmp_path, known, suffix):
+    """As long as it says, in colour, and its last picture is the target, standing."""
+    import cv2
+    from PIL import Image, ImageSequence
+
+    from toolkit.report import video
+
+    video_size, video.SIZE = video.SIZE, (160, 120)
+    try:
+        seconds = video.write_video(known.folder, known.merged, known.tree(), known.policy, known.native, tmp_path / f"film.{suffix}")
+    except ToolkitError as error:
+        pytest.skip(str(error))
+    finally:
+        video.SIZE = video_size
+    file = tmp_path / f"film.{suffix}"
+    if suffix == "mp4":
+        reader = cv2.VideoCapture(str(file))
+        frames = []
+        while (answer := reader.read())[0]:
+            frames.append(answer[1][..., ::-1])
+    else:
+        frames = [np.array(frame.convert("RGB")) for frame in ImageSequence.Iterator(Image.open(file))]
+    assert 5.0 < seconds < 60.0 and file.stat().st_size > 10_000
+    if suffix == "mp4":
+        assert abs(len(frames) - seconds * video.RATE) <= 1
+    apart = [np.abs(a.astype(int) - b).mean() for a, b in zip(frames, frames[1:], strict=False)]
+    assert max(apart) > 1.0 and min(apart) < 1.0, "something moves, and something rests"
+    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 2.0, "the hand has become the Jaco"
+
+
+def test_a_run_without_episodes_makes_no_film(tmp_path, known):
+    from toolkit.report import video
+
+    with pytest.raises(ToolkitError, match="keeps no phases to show"):
+        video.write_video(tmp_path, known.merged, known.tree(), known.policy, known.native, tmp_path / "film.mp4")
+
+
+def test_what_is_zero_all_along_has_a_sentence(rebuilt, known):
+    """The run trained nothing; its success and its wall time are curves."""
+    flat = learning.flat_curves(viewer.chunks_of(rebuilt[0]))
+    assert {"sim_epochs", "train_iterations", "diverged", "kl"} <= flat and not {"success", "wall"} & flat
+    assert set(learning.FLAT) == set(learning.CURVES)
 
 
 @pytest.mark.parametrize("page", ["evolution", "morph", "rollouts", "learning", "summary"])
@@ -442,6 +506,19 @@ def test_without_a_display_the_viewer_is_served(rebuilt):
         urllib.request.urlopen(address.split("?")[0], timeout=20)
 
 
+def test_without_the_viewer_a_sentence_says_how_to_have_it():
+    program = (
+        "import sys; sys.modules['rerun'] = None; from toolkit.cli import main\n"
+        "import importlib.util; found = importlib.util.find_spec\n"
+        "importlib.util.find_spec = lambda name, *more: None if name == 'rerun' else found(name, *more)\n"
+        "from toolkit.quiet import silence_robosuite; silence_robosuite(); import toolkit.pipeline; main(['view', 'run.rrd'])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
+                          text=True)  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert done.stderr == "meta-evolve: the Rerun viewer is not installed; pip install 'meta-evolve[viewer]'\n"
+
+
 def test_training_code_needs_no_rerun():
-    program = "import sys, toolkit.phases, toolkit.runs; sys.exit('rerun' in sys.modules)"
+    program = "import sys, toolkit.phases, toolkit.runs, toolkit.pipeline; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
+from toolkit.furniture import furniture, opacity
 from toolkit.morphology.appearance import ROUND, Wardrobe, geom_triangles, simplified
 from toolkit.report import page, stills
 from toolkit.runs import Run
@@ -40,7 +41,13 @@ def finished(small, tmp_path_factory):
     made.append_metrics({"event": "moved", "distance": 0.0, **cost})
     native = {"successes": 31, "episodes": 40, "success_rate": 0.775, "ci95": [0.63, 0.88]}
     totals = {"train_iterations": 3, "sim_epochs": 36, "check_episodes": 16, "diverged": 0}
-    made.write_json("report", {"targets": {"jaco": {"native": native, "merged": native}}, "totals": totals, "wall_s": 120.0})
+    robot = {"grip_n": 9.0, "balance": 1.0, "height_mm": None, "opening_mm": 90.0, "closing_steps": 4.0, "clearance_mm": 20.0,
+             "tracking": 0.0, "script": None}  # fmt: skip
+    edge = {"from": "adroit", "to": "jaco", "robots": [{"share": 0.0, **robot}, {"share": 1.0, **robot}],
+            "violations": [{"share": 0.5, "quantity": "grip_n", "value": 2.0, "allowed": [7.0, None], "cause": None}]}  # fmt: skip
+    made.write_json("audit", {"verdict": "audit: 1 of 1 edges lead through worse robots", "edges": [edge]})
+    made.write_json("report", {"targets": {"jaco": {"native": native, "merged": native}}, "totals": totals, "wall_s": 180.0,
+                             "time": {"wall_s": 120.0}})
     return folder
 
 
@@ -80,7 +87,9 @@ def test_the_page_stands_alone_and_is_sound(written):
     assert "31 of 40" in text and "0.63 to 0.88" in text and "<b>&" in text, "what comes from the run is escaped"
     assert 'name="viewport"' in written.read_text(), "a phone shows it at its own width"
     pictures = {file.stem for file in written.parent.glob("*.png")}
-    assert {"tree", "projection", "curves", "parameters"} <= pictures
+    assert {"tree", "projection", "curves", "parameters", "audit"} <= pictures
+    assert "1 of 1 edges lead through worse robots" in text
+    assert "took 2.0 minutes" in text and "evaluation 3.0" in text, "the first line tells the transfer's own time"
     assert len(parser.links) == len(pictures)
 
 
@@ -133,6 +142,43 @@ def test_stills_show_one_robot_turning_into_another(small):
     np.testing.assert_array_equal(again, pictures[0])
     apart = [np.abs(a - b).mean() for a, b in ((pictures[0], pictures[2]), (pictures[0], pictures[1]), (pictures[1], pictures[2]))]
     assert apart[0] > apart[1] > 0.5 and apart[0] > apart[2] > 0.5, f"halfway lies between the ends: {apart}"
+
+
+def test_a_robot_stands_on_its_pedestal_at_a_table_with_legs(small):
+    """Between the floor and the arm's base, within 2 cm of both; four legs under the top."""
+    meshes = {mesh.name: mesh.vertices for mesh in furniture(small.space.matching.systems[0].model)}
+    table, pedestal = meshes["table"], meshes["fixed_mount0_pedestal"]
+    base = small.space.matching.systems[0].robot.base_position
+    assert abs(pedestal[:, 2].min()) < 0.2 and abs(pedestal[:, 2].max() - 0.912) < 0.02
+    assert pedestal[:, 0].min() < base[0] < pedestal[:, 0].max()
+    low = table[table[:, 2] < 0.1]
+    assert table[:, 2].max() == pytest.approx(0.8) and abs(low[:, 2].min()) < 1e-6
+    assert {(x > 0, y > 0) for x, y, _ in low} == {(a, b) for a in (False, True) for b in (False, True)}
+
+
+def test_one_robot_is_always_solid():
+    shares = np.linspace(0.0, 1.0, 21)
+    pairs = np.stack([shares, 1.0 - shares], axis=1)
+    shown = opacity(pairs, pairs.max(axis=1, keepdims=True))
+    assert (shown.max(axis=1) == 1.0).all() and (shown[[0, -1]].sum(axis=1) == 1.0).all()
+    assert (np.abs(np.diff(shown, axis=0)) < 0.4).all(), "it fades, and does not jump"
+    assert (shown[5] == (0.0, 1.0)).all(), "a robot that shows a quarter is not there"
+
+
+def test_the_goal_and_the_object_are_drawn_where_they_are(small):
+    try:
+        studio = stills.Studio(small.merged, Wardrobe(small.space.matching), (96, 96))
+    except ToolkitError as error:
+        pytest.skip(str(error))
+    nobody = (np.zeros((len(studio.wardrobe.worn), 3)), np.tile((1.0, 0, 0, 0), (len(studio.wardrobe.worn), 1)))
+    draw = lambda **more: studio.draw(*nobody, np.zeros(2), **more).astype(int)  # noqa: E731
+    empty, high = draw(), draw(carried=np.array([-0.1, 0.0, 1.1, 1, 0, 0, 0]))
+    goal = draw(goal=np.array([-0.1, 0.0, 1.1]))
+    studio.close()
+    red = lambda picture: np.argwhere(picture[..., 0] > picture[..., 1] + 80).mean(axis=0)  # noqa: E731
+    assert red(high)[0] < red(empty)[0] - 10, "the brick is lifted"
+    green = np.argwhere(np.abs(goal - empty).sum(axis=-1) > 30)
+    assert len(green) > 20 and np.abs(green.mean(axis=0) - red(high)).max() < 4, "the goal is where the brick was held"
 
 
 def test_walked_edges_carry_the_last_success(finished, small):

@@ -5,9 +5,11 @@ import importlib.util
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
@@ -27,7 +29,16 @@ TESTED: dict[str, tuple[str, str | None]] = {  # package -> from, and below
     "safetensors": ("0.4", None),
     "onnx": ("1.16", None),
     "onnxruntime": ("1.18", None),
+    "scipy": ("0", None),
+    "llvmlite": ("0", None),
+    "pyyaml": ("6", None),
+    "matplotlib": ("0", None),
+    "pillow": ("10.1", None),
+    "opencv-python": ("0", None),
+    "tyro": ("0", None),
+    "rich": ("0", None),
 }
+OPTIONAL = {"rerun-sdk": "pip install 'meta-evolve[viewer]', to look at runs"}
 ROBOTS = ("Jaco", "Kinova3", "IIWA")
 RENDER_PROBE = """
 import mujoco
@@ -37,7 +48,29 @@ mujoco.mj_forward(model, data)
 with mujoco.Renderer(model, 32, 32) as renderer:
     renderer.update_scene(data)
     assert renderer.render().max() > 0, "the picture is black"
+    from OpenGL import GL
+    print("\\n" + GL.glGetString(GL.GL_RENDERER).decode())
 """
+VULKAN_PROBE = """
+import ctypes
+vulkan = ctypes.CDLL("libvulkan.so.1")
+class Asked(ctypes.Structure):  # VkInstanceCreateInfo
+    _fields_ = [("type", ctypes.c_int), ("next", ctypes.c_void_p), ("flags", ctypes.c_uint32), ("application", ctypes.c_void_p),
+                ("layers", ctypes.c_uint32), ("layer_names", ctypes.c_void_p), ("extensions", ctypes.c_uint32), ("names", ctypes.c_void_p)]
+instance, count = ctypes.c_void_p(), ctypes.c_uint32()
+assert vulkan.vkCreateInstance(ctypes.byref(Asked(type=1)), None, ctypes.byref(instance)) == 0, "no driver takes a Vulkan instance"
+assert vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None) == 0 and count.value, "no driver has a device"
+devices = (ctypes.c_void_p * count.value)()
+vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), devices)
+about = ctypes.create_string_buffer(4096)  # VkPhysicalDeviceProperties: its name stands behind five whole numbers
+vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(devices[0]), about)
+print(about[20:276].split(b"\\0")[0].decode())
+"""
+STILL = 320, 200
+"""[pixels] of the still that is taken."""
+PAINT = (213, 94, 0)
+ROOM, LEAST = 2e9, 64e6
+"""[bytes] that a few runs and their recordings need, and without which none begins."""
 ROBOT_PROBE = """
 import json, logging, sys
 logging.disable(logging.CRITICAL)
@@ -81,8 +114,14 @@ def checks(logs: Path | str = "logs") -> list[Check]:
     found.append(_guarded("ADROIT hand", _adroit, "pip install --force-reinstall gymnasium-robotics"))
     found += _robots()
     found.append(_guarded("off-screen rendering", _rendering, "leave out pictures and videos, or install EGL or OSMesa"))
-    found.append(_guarded("Rerun recording", _recording, "pip install --force-reinstall rerun-sdk"))
+    if sys.platform == "linux":  # elsewhere the viewer draws with what the system has
+        found.append(_guarded("Vulkan", _vulkan, VULKAN_MEND))
+    if importlib.util.find_spec("rerun") is not None:
+        found.append(_guarded("Rerun recording", _recording, "pip install --force-reinstall rerun-sdk"))
+        found.append(_guarded("a still of the viewer", _still, VULKAN_MEND))
     found.append(_guarded("logs folder", lambda: _logs(Path(logs)), f"choose a folder you may write to with --run, not {logs}"))
+    found.append(_guarded("temporary folder", _temporary, "set TMPDIR to a folder you may write to"))
+    found.append(_guarded("free disk", lambda: _disk(Path(logs)), f"free some, or choose a folder on another disk with --run, not {logs}"))
     return found
 
 
@@ -102,17 +141,19 @@ def _python() -> Check:
 
 def _package(package: str) -> Check:
     lowest, below = TESTED[package]
-    wanted = f"tested with {lowest} or newer" + (f", below {below}" if below else "")
+    wanted = "any version" if lowest == "0" else f"tested with {lowest} or newer" + (f", below {below}" if below else "")
     try:
         version = metadata.version(package)
     except metadata.PackageNotFoundError:
-        return Check(package, False, f"not installed; {wanted}", _install(package))
+        return Check(package, None if package in OPTIONAL else False, f"not installed; {wanted}", OPTIONAL.get(package, _install(package)))
     good = _key(version) >= _key(lowest) and (below is None or _key(version) < _key(below))
     return Check(package, good, version if good else f"{version}; {wanted}", "" if good else _install(package))
 
 
 def _install(package: str) -> str:
     lowest, below = TESTED[package]
+    if lowest == "0":
+        return f"pip install {package}"
     return f'pip install "{package}>={lowest}{f",<{below}" if below else ""}"'
 
 
@@ -162,13 +203,57 @@ def _rendering() -> Check:
     for backend in backends:
         answer = _run(RENDER_PROBE, MUJOCO_GL=backend)
         if answer.returncode == 0:
-            return Check("off-screen rendering", True, f"MUJOCO_GL={backend}" if backend else "the system's own", "")
+            detail = f"MUJOCO_GL={backend}" if backend else "the system's own"
+            return Check("off-screen rendering", True, f"{detail}: {_last_line(answer.stdout)}", "")
         problem += f"MUJOCO_GL={backend}: {_last_line(answer.stderr)}; "
     mend = (
         "apt-get install libegl1 libosmesa6 (Debian, Ubuntu), then set MUJOCO_GL to egl or osmesa; "
         "only pictures and videos need it"
     )
     return Check("off-screen rendering", None, _brief(problem.rstrip("; ")), mend)
+
+
+VULKAN_MEND = ("apt-get install mesa-vulkan-drivers libvulkan1 libegl1 (Debian, Ubuntu; a driver that needs no graphics card); "
+               "only stills and the viewer's window need it")  # fmt: skip
+
+
+def _vulkan() -> Check:
+    """Which device draws for the viewer; in a process of its own, as a driver may end it."""
+    answer = _run(VULKAN_PROBE)
+    if answer.returncode == 0:
+        return Check("Vulkan", True, _brief(answer.stdout), "")
+    return Check("Vulkan", None, _brief(_last_line(answer.stderr)), VULKAN_MEND)
+
+
+def _still() -> Check:
+    """A picture of a recording as `view --still` takes it, on which what was recorded is seen."""
+    import numpy as np
+    import rerun as rr
+    import rerun.blueprint as rrb
+    from matplotlib.image import imread
+
+    from toolkit.errors import ToolkitError
+    from toolkit.recording.layout import quiet_layout
+    from toolkit.recording.stream import FILM, Stream
+    from toolkit.recording.viewer import still
+
+    name = "a still of the viewer"
+    with tempfile.TemporaryDirectory() as folder:
+        file, picture = Path(folder) / "still.rrd", Path(folder) / "still.png"
+        stream = Stream(file)
+        stream.arrange(quiet_layout(rrb.Spatial2DView(origin="paint"), FILM))
+        stream.static("paint", rr.Image(np.full((20, 32, 3), PAINT, np.uint8)))
+        stream.close()
+        began = time.monotonic()
+        try:
+            still([file], picture, None, "x".join(map(str, STILL)))
+        except ToolkitError as error:
+            return Check(name, None, _brief(str(error)), VULKAN_MEND)
+        pixels = np.round(255 * imread(picture)[..., :3])
+    painted = (np.abs(pixels - PAINT).max(axis=-1) < 8).mean()
+    detail = f"{pixels.shape[1]} by {pixels.shape[0]} pixels in {time.monotonic() - began:.1f} s, {painted:.0%} of them as painted"
+    good = painted > 0.2
+    return Check(name, True if good else None, detail, "" if good else VULKAN_MEND)
 
 
 def _recording() -> Check:
@@ -196,6 +281,20 @@ def _logs(folder: Path) -> Check:
             return Check("logs folder", True, str(folder), "")
     except OSError as error:
         return Check("logs folder", False, f"{folder}: {error.strerror}", f"chmod u+w {existing}, or choose another folder with --run")
+
+
+def _temporary() -> Check:
+    folder = tempfile.gettempdir()
+    with tempfile.TemporaryFile(dir=folder):
+        return Check("temporary folder", True, folder, "")
+
+
+def _disk(folder: Path) -> Check:
+    existing = next(parent for parent in [folder.absolute(), *folder.absolute().parents] if parent.exists())
+    free = shutil.disk_usage(existing).free
+    good = True if free >= ROOM else None if free >= LEAST else False
+    mend = f"free at least {ROOM / 1e9:.0f} GB there, or choose a folder on another disk with --run"
+    return Check("free disk", good, f"{free / 1e9:.1f} GB under {existing}", "" if good else mend)
 
 
 def _run(program: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -154,6 +154,18 @@ def load_phases(run: Path, tell: Callable[[str], None] = lambda why: None) -> di
     return found
 
 
+def landmarks(scenes: Sequence[tuple[Phase, Take]]) -> list[tuple[Phase, Take]]:
+    """Of all episodes that are kept, in order: of every path the first, the first failure, the best, the worst and the last."""
+    found = []
+    for path in dict.fromkeys(phase.path for phase, _ in scenes):
+        own = {role: [scene for scene in scenes if scene[0].path == path and role in scene[1].roles] for role in ROLES}
+        chosen = [own["first"][:1], own["failure"][:1], own["last"][-1:]]
+        chosen += [sorted(own["best"], key=lambda scene: -scene[1].score)[:1], sorted(own["worst"], key=lambda scene: scene[1].score)[:1]]
+        picked = {id(take) for some in chosen for _, take in some}
+        found += [scene for scene in scenes if id(scene[1]) in picked]
+    return found
+
+
 def score(episode: Episode) -> float:
     """How good an episode was: success 1 to 2, the sooner the better; failure by how near the goal the object ended.
 

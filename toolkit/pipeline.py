@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,13 +27,14 @@ from toolkit.morphology.space import EvolutionSpace
 from toolkit.phases import Witness
 from toolkit.plan import Plan
 from toolkit.quoting import markdown
-from toolkit.recording.story import SHARE, Cost, Story
-from toolkit.recording.stream import Stream
 from toolkit.runs import Run, read_audit
 from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer import Transfer
+
+if TYPE_CHECKING:  # a transfer needs no viewer: it is imported where a run is recorded
+    from toolkit.recording.story import Cost, Story
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
@@ -151,7 +152,7 @@ class _Told:
         trouble: the first thing that went wrong, in a sentence; empty if nothing did.
     """
 
-    def __init__(self, folder: Path, begin: Callable[[], Story]) -> None:
+    def __init__(self, folder: Path, begin: "Callable[[], Story]") -> None:
         self.folder, self.trouble = folder, ""
         self._story = self._told(begin)
 
@@ -173,7 +174,7 @@ class _Told:
         """Trouble that somebody else had with what only helps to see the run."""
         self.trouble = self.trouble or trouble
 
-    def finish(self) -> Cost | str:
+    def finish(self) -> "Cost | str":
         """Close the recording; what it cost, or what went wrong with it."""
         story, self._story = self._story, None
         cost = None if story is None else self._told(story.finish)
@@ -239,9 +240,14 @@ class Pipeline:
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.witness = Witness(folder, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
-        tree = self.tree.to_json()
-        self.story = _Told(folder, lambda: Story(
-            Stream(folder / "recording.rrd"), folder, self.lab.merged, tree, policy.copy(), self._plant, SHARE, records))  # fmt: skip
+        self.story = _Told(folder, lambda: self._record(folder, policy.copy(), records))
+
+    def _record(self, folder: Path, policy: GaussianPolicy, records: list[dict[str, Any]]) -> "Story":
+        """Begin the recording; an installation without the viewer has none."""
+        from toolkit.recording.story import SHARE, Story
+        from toolkit.recording.stream import Stream
+
+        return Story(Stream(folder / "recording.rrd"), folder, self.lab.merged, self.tree.to_json(), policy, self._plant, SHARE, records)
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
@@ -387,7 +393,7 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     """The report as Markdown, for people."""
     lines = [
         f"# {markdown(report['source'])} to {markdown(', '.join(report['targets']))}: {markdown(report['task'])}", "",
-        "| target | direct, untrained | native robosuite robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
+        "| target | direct, untrained | unmodified robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for name, both in report["targets"].items():
         low, high = both["native"]["ci95"]
@@ -410,6 +416,6 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
         f"Wall time {report['wall_s'] / 60:.1f} min; of the transfer's {report['time']['wall_s'] / 60:.1f} min, "
         f"{report['time']['outside_playing']:.0%} went into anything but playing episodes ({report['time']['learn_s']:.0f} s into "
         f"learning). Diverged simulations: {totals['diverged']} (counted as failures)"
-        f"{'; see the first with: meta-evolve replay <run>/divergence.npz' if totals['diverged'] else ''}.",
+        f"{'; the first lies in divergence.npz, for `meta-evolve replay`' if totals['diverged'] else ''}.",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

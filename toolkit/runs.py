@@ -4,6 +4,7 @@
     versions.json, git.json    what it ran on
     metrics.jsonl              one JSON record per iteration
     checkpoints/*.safetensors  tensors, and in the same file's header the rest of the state
+    command.json               the words of the command that started it, but for its folder
     report.json, summary.md    what came out
 
 Every file but metrics.jsonl appears whole or not at all; a torn last line of metrics.jsonl is dropped on resume.
@@ -29,6 +30,7 @@ from toolkit import __version__
 from toolkit.claims import LOCK, claim, give_up
 from toolkit.errors import ToolkitError
 from toolkit.jsonfiles import content_of, parsed, parsed_object, read_object, require
+from toolkit.quoting import told
 from toolkit.tensors import read_tensors
 
 RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
@@ -36,6 +38,15 @@ BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
 ABSENT = "(absent)"
 CLAIMED = "wait until it has ended, or end it"
 """The mend where another process works on a run."""
+
+
+def continuing(folder: Path) -> str:
+    """The command that continues a transfer's run, to be pasted: the one that started it, where that is known."""
+    try:
+        words = require(read_object(folder / "command.json", ""), {"words": [str]}, "", "")["words"]
+    except ToolkitError:
+        words = ["transfer"]  # a run of an older version
+    return told(*words, "--run", folder, "--resume")
 
 
 class Run:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from toolkit.cli.help import helped
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
@@ -104,6 +105,7 @@ SUITES: dict[str, dict[str, Entry]] = {
 
 
 @bench.command(name="transfer")
+@helped
 def bench_transfer(
     suite: str = "real-robots",
     only: tuple[str, ...] = (),
@@ -166,6 +168,7 @@ def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str
 
 
 @bench.command(name="engine")
+@helped
 def bench_engine(
     robots: tuple[str, ...] | None = None,
     source: str = "adroit",
@@ -239,6 +242,7 @@ def _show_engine(found: dict) -> None:
 
 
 @bench.command(name="walk")
+@helped
 def bench_walk(
     source: str = "adroit",
     targets: tuple[str, ...] = TARGETS,
@@ -293,6 +297,7 @@ def bench_walk(
 
 
 @bench.command(name="tree")
+@helped
 def bench_tree(
     terminals: tuple[int, ...] = tuple(range(4, 21)),
     dimensions: int = 105,
@@ -335,6 +340,7 @@ def bench_tree(
 
 
 @bench.command(name="metric")
+@helped
 def bench_metric(
     source: str = "adroit",
     targets: tuple[str, ...] = TARGETS,
@@ -379,6 +385,7 @@ def bench_metric(
 
 
 @bench.command(name="tick")
+@helped
 def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: int = 2000, json: bool = False) -> None:
     """Time the runtime's tick on this machine, without an arm: observation, policy, safety, command, in each form of command.
 
@@ -418,6 +425,7 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
 
 
 @bench.command(name="fuzz")
+@helped
 def bench_fuzz(
     bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
     files: int = 2000,

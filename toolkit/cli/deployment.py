@@ -263,7 +263,7 @@ def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress:
     if found is None:
         from toolkit.evaluation import evaluate_native
 
-        counter = progress.count(f"{target} native", LABEL_EPISODES)
+        counter = progress.count(f"{target}, unmodified", LABEL_EPISODES)
         found = evaluate_native(policy, robot, task, LABEL_EPISODES, progress=counter).to_json()
         measured = "at export, through robosuite's own step"
     return Success(found["episodes"], found["successes"], float(found["success_rate"]), tuple(map(float, found["ci95"])), found["seed"],

@@ -1,5 +1,7 @@
 """view, morph, report, replay, doctor: looking at a run, at robots turning into robots, at what went wrong, at the installation."""
 
+import os
+from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -7,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
-from toolkit.cli.terminal import Progress, emit, table
+from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 from toolkit.quoting import told
 
@@ -17,11 +19,13 @@ if TYPE_CHECKING:
     from toolkit.recording.layout import Layout
     from toolkit.recording.shows import Known
 
+STILLS, VIDEOS = (".png",), (".mp4", ".gif")
+"""What the viewer saves, and what films are written as."""
 Page = Literal["evolution", "morph", "rollouts", "learning", "summary"]
 
 
 def view(
-    path: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    path: Annotated[tuple[Path, ...], tyro.conf.Positional] = (),
     rebuild: bool = False,
     live: bool = False,
     compare: tuple[str, ...] = (),
@@ -31,6 +35,7 @@ def view(
     at: float | None = None,
     size: str = "1600x1000",
     out: Path | None = None,
+    video: Path | None = None,
 ) -> None:
     """Look at a run in the Rerun viewer: evolution, morph, rollouts, learning, summary, each a tab.
 
@@ -44,11 +49,12 @@ def view(
         compare: one or two targets, or one target of two runs: their final policies side by side, from the same seed.
         seed: of the start in --compare; the default is the first of `meta-evolve evaluate`.
         page: show this page alone.
-        still: save what the viewer shows as a PNG instead of opening it; with --page or --compare at the moment --at.
+        still: save what the viewer shows as a PNG instead of opening it, at the moment --at; of a run without --page the evolution.
         at: moment of the still or of the excerpt: seconds of the film, on the page learning the iteration; default: the last.
         size: of the still, WIDTHxHEIGHT.
         out: file for what --compare or --rebuild makes; default: inside the run folder. With --page, or --compare and --at:
             that page as it is at that moment, as a small recording of its own.
+        video: write a run as a film that needs no viewer instead of opening it (MP4 or GIF).
     """
     if not path or len(path) > 2 or (len(path) == 2 and not compare):
         raise ToolkitError(f"view takes one run folder or .rrd file, and two run folders with --compare; got {len(path)}")
@@ -57,6 +63,12 @@ def view(
         return
     from toolkit.recording import shows, stream, viewer
 
+    room_for(still, STILLS)
+    if video is not None:
+        print(f"{video}: {_film(path[0], video):.0f} s")
+        return
+    if still is not None and page is None and not compare and path[0].is_dir():
+        page = "evolution"  # the tab that a run opens with
     frozen = (still or out) is not None and (page is not None or (compare and (at is not None or still is not None)))
     whole = None if frozen else out
     if compare:
@@ -67,15 +79,33 @@ def view(
     if frozen:
         _freeze(file, "compare" if compare else page, at, layout, still, size, out)
     elif still is not None:
-        viewer.still([file], still, at, size)
+        viewer.still([file], still, _last(file, at), size)
     elif out is None:
         files = [file]
-        if page is not None and not compare:
-            files.append(_folder(path[0]) / f"{page}.rbl")
+        known = (path[0] / "tree.json").is_file() and os.access(path[0], os.W_OK)
+        if not compare and (page is not None or known):  # with what is known now of the run's curves
+            files.append(_folder(path[0]) / f"{page or 'pages'}.rbl")
             layout(False).save(stream.APPLICATION, str(files[-1]))
         _open(*files)
         return
     print(still or out)
+
+
+def _film(run: Path, video: Path, progress: Progress | None = None) -> float:
+    """A run as a film; its length [s]."""
+    room_for(video, VIDEOS)
+    known = known_run(run)
+    from toolkit.report.video import write_video
+
+    with Progress("video", quiet=False) if progress is None else nullcontext(progress) as line:
+        return write_video(run, known.merged, known.tree(), known.policy, known.native, video, lambda what: line.show("video", what))
+
+
+def _last(file: Path, at: float | None) -> float | None:
+    """``at``, or the last moment of a recording: where a picture is the same each time. None if it has no film."""
+    from toolkit.recording import excerpt
+
+    return excerpt.moment_of(file, at, "morph") or None
 
 
 def _folder(path: Path) -> Path:
@@ -254,16 +284,19 @@ def morph(
         at: moment of the still [s].
         size: of the still, WIDTHxHEIGHT.
     """
+    room_for(still, STILLS)
     lab = make_lab(source, targets, task)
     from toolkit.recording import shows, viewer
 
     shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
-        viewer.still([out], still, at, size)
+        viewer.still([out], still, _last(out, at), size)
     print(f"{out}; look at it with: {told('view', out)}")
 
 
-def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, json: bool = False) -> None:
+def report(
+    run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, video: Path | None = None, json: bool = False
+) -> None:
     """Write a run's report for those without a viewer: one self-contained HTML page, and its pictures as PNGs.
 
     Tree, curves, table of targets, stills along each path, parameters, configuration. A run that goes on, or was stopped,
@@ -272,13 +305,17 @@ def report(run: Annotated[Path, tyro.conf.Positional], out: Path | None = None, 
     Args:
         run: a run folder.
         out: folder of the page; default: RUN/page.
+        video: also write the run as a film (MP4 or GIF).
         json: print the page's path and its pictures as one JSON object.
     """
+    room_for(video, VIDEOS)
     known = known_run(run)
     from toolkit.report.page import write_report
 
     with Progress("report", quiet=json) as progress:
         page = write_report(run, known.merged, known.tree(), out, lambda what: progress.show("report", what, now=True))
+        if video is not None:
+            _film(run, video, progress)
     pictures = sorted(str(file) for file in page.parent.glob("*.png"))
     emit({"page": str(page), "pictures": pictures}, json, f"{page}, and {len(pictures)} pictures beside it")
 
@@ -319,7 +356,9 @@ def replay(file: Annotated[Path, tyro.conf.Positional], json: bool = False) -> N
 
 
 def doctor(json: bool = False) -> None:
-    """Check versions, models, rendering and Rerun, and say what to mend.
+    """Try what the toolkit needs of this machine, and say what to mend: versions, models, graphics, a still, room, permissions.
+
+    Exit status 1 if it cannot work so; a warning is something that all but pictures do without.
 
     Args:
         json: print one JSON object.

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from toolkit.evaluation import Evaluation
 
 
+WHERE = {"native": "unmodified robot", "native-compiled": "unmodified robot, compiled step", "merged": "F(beta)"}
+"""What an evaluation was played on, in the words that every page uses."""
+
+
 def evaluate(
     run: Annotated[str, tyro.conf.Positional],
     target: str | None = None,
@@ -53,7 +57,7 @@ def evaluate(
     with Progress("evaluate", quiet=json) as progress:
         for name, policy in policies.items():
             if native:
-                counter = progress.count(f"{name} native", episodes)
+                counter = progress.count(f"{name}, unmodified", episodes)
                 results.append(evaluate_native(policy, find_robot(name), what, episodes, seed, progress=counter))
             else:
                 results.append(evaluate_merged(policy, RolloutEngine(lab.merged), name, episodes, seed))
@@ -114,7 +118,7 @@ def sentence(result: "Evaluation") -> str:
     """One line for people."""
     low, high = result.ci95
     counts = f"{result.successes} of {result.episodes}, {result.success_rate:.0%}"
-    return f"{result.target} ({result.env}): {counts} (95 %: {low:.2f} to {high:.2f})"
+    return f"{result.target} ({WHERE.get(result.env, result.env)}): {counts} (95 %: {low:.2f} to {high:.2f})"
 
 
 def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluation":
@@ -131,4 +135,4 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
 
     check_records(manifest, path)
     with Progress("evaluate", quiet) as progress:
-        return evaluate_native(path, robot, task, episodes, seed, progress=progress.count(f"{robot.name} native", episodes))
+        return evaluate_native(path, robot, task, episodes, seed, progress=progress.count(f"{robot.name}, unmodified", episodes))

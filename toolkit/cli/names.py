@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Literal
 
 from toolkit.errors import ToolkitError
 from toolkit.jsonfiles import require
-from toolkit.quoting import told
 
 if TYPE_CHECKING:
     from robots.robot import Robot
@@ -91,6 +90,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
     from tasks.pick import ACTION, OBSERVATION
     from toolkit.expert import POLICY_FILE, entry_names
     from toolkit.learning.policy import GaussianPolicy
+    from toolkit.runs import continuing
 
     content = transfer_config(folder)
     found = {}
@@ -102,7 +102,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
         try:
             if not file.is_file():
                 raise ToolkitError(
-                    f"{folder} has no policy for {name!r} yet; finish it with: {told('transfer', '--run', folder, '--resume')}"
+                    f"{folder} has no policy for {name!r} yet; finish it with: {continuing(folder)}"
                 )
             found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
         except ToolkitError as error:

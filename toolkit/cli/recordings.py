@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from toolkit.cli.help import helped
 from toolkit.cli.names import find_robot
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
@@ -18,6 +19,7 @@ recordings = tyro.extras.SubcommandApp()
 
 
 @recordings.command
+@helped
 def make(
     out: Annotated[Path, tyro.conf.Positional],
     objects: tuple[str, ...] = (),
@@ -58,6 +60,7 @@ def make(
 
 
 @recordings.command(name="list")
+@helped
 def list_recordings(root: Annotated[Path, tyro.conf.Positional], frame_rate: float = 25.0, json: bool = False) -> None:
     """Read every recording under a folder, check it, and say what it shows.
 
@@ -98,6 +101,7 @@ def list_recordings(root: Annotated[Path, tyro.conf.Positional], frame_rate: flo
 
 
 @recordings.command(name="retarget")
+@helped
 def retarget_recordings(
     root: Annotated[Path, tyro.conf.Positional],
     source: str = "adroit",

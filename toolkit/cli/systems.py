@@ -35,7 +35,7 @@ def robots(check: str | None = None, json: bool = False) -> None:
     if json:
         emit({"robots": rows, "tasks": list(TASKS), "broken": broken_cards()}, True, "")
     else:
-        table("Systems", list(rows[0]), [list(row.values()) for row in rows])
+        table("Systems", list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
         print(f"Tasks: {', '.join(TASKS)}")
     _say_broken()
 

@@ -81,7 +81,10 @@ def emit(content: Any, as_json: bool, text: str) -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Print a table; its texts are data, never the terminal library's markup."""
+    """Print a table; its texts are data, never the terminal library's markup.
+
+    On a terminal too narrow for its words it becomes a list, a line per cell: a name broken into syllables names nothing.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -89,13 +92,33 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
     said = lambda value: Text(plain(str(value)))  # noqa: E731
     table = Table(title=said(title), title_justify="left")
     for column in columns:
-        table.add_column(said(column), overflow="fold")  # a name that is cut off names nothing
+        table.add_column(said(column), overflow="fold")
     for row in rows:
         table.add_row(*map(said, row))
     console = Console()
     if not console.is_terminal:
         console.width = 1000  # a row stays one line in a file or a pipe
-    console.print(table)
+    if table.__rich_measure__(console, console.options.update(max_width=1000)).minimum <= console.width:
+        console.print(table)
+        return
+    console.print(Text(plain(title), style="italic"))
+    for row in rows:
+        console.print()
+        for column, value in zip(columns, row, strict=True):
+            if str(value):
+                console.print(Text.assemble((f"{plain(column)}: " if column else "", "bold"), said(value)))
+
+
+def document(markdown: str) -> None:
+    """Print Markdown: drawn, with its tables, on a terminal; as it is into a file or a pipe, where Markdown is what is wanted."""
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    console = Console()
+    if console.is_terminal:
+        console.print(Markdown(markdown))
+    else:
+        print(markdown)
 
 
 def room_for(file: Path | None, endings: Sequence[str] = PICTURES) -> None:
@@ -107,7 +130,7 @@ def room_for(file: Path | None, endings: Sequence[str] = PICTURES) -> None:
     if file is None:
         return
     if file.suffix.lower() not in endings or file.is_dir():
-        raise ToolkitError(f"the plot cannot be written to {file}; name a {' or '.join(endings[:2])} file")
+        raise ToolkitError(f"the picture cannot be written to {file}; name a {' or '.join(endings[:2])} file")
     if not file.parent.is_dir() or not os.access(file.parent, os.W_OK):
         raise ToolkitError(f"{file} cannot be written: {file.parent} is no folder, or not yours to write to; choose another one")
 
@@ -123,13 +146,15 @@ class Progress:
     def __init__(self, title: str, quiet: bool) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.table import Column
 
         self.console = Console(stderr=True)
         self.live = self.console.is_terminal and not quiet
         self.quiet = quiet
         self._last = 0.0
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[detail]}", markup=False),
-                   TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+        text = lambda what: TextColumn(what, markup=False, table_column=Column(overflow="fold"))  # noqa: E731 - wraps, is never cut
+        columns = (text("{task.description}"), BarColumn(), text("{task.fields[detail]}"), TimeElapsedColumn(), TextColumn("left"),
+                   TimeRemainingColumn())  # fmt: skip
         self.bar = Progress(*columns, console=self.console, disable=not self.live)
         self._task = self.bar.add_task(title, total=None, detail="")
 
@@ -195,7 +220,7 @@ class Progress:
                 self.show("audit", record["verdict"].removeprefix("audit: "), now=True)
                 return
             if record["event"] == "evaluating":
-                detail = f"{record['episodes']} episodes on F(beta) and on the native robot"
+                detail = f"{record['episodes']} episodes on F(beta) and on the unmodified robot"
                 self.show(f"evaluating {record['target']}", detail, now=True)
                 return
             success = record.get("success", record.get("train_success"))

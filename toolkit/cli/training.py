@@ -1,10 +1,12 @@
 """expert, transfer: the commands that train."""
 
+import inspect
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
-from toolkit.cli.terminal import Progress, emit
+from toolkit.cli.terminal import Progress, document, emit
 from toolkit.errors import ToolkitError
 from toolkit.quoting import told
 
@@ -71,7 +73,7 @@ def expert(
             engine.close()
             policy.save(folder / f"{source}{POLICY_FILE}")
             results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
-            counter = lambda name: progress.count(f"{source} native, {name}", episodes)  # noqa: E731
+            counter = lambda name: progress.count(f"{source}, unmodified, {name}", episodes)  # noqa: E731
             results = {
                 key: evaluate_compiled(policy, robot, t, episodes) if compiled
                 else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
@@ -96,6 +98,16 @@ def expert(
         raise ToolkitError(f"the expert is trained, but {name} cannot be saved in {out or SHIPPED} ({error}); give another --out, with "
                            "--resume") from None  # fmt: skip
     emit(card, json, "\n".join(lines))
+
+
+def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Sequence[str]) -> list[str]:
+    """The options that a command was given, as words: those whose values are not the default."""
+    words = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        value = values[name]
+        if name not in leave_out and value != parameter.default:
+            words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return words
 
 
 def transfer(
@@ -149,6 +161,7 @@ def transfer(
         resume: continue the run in that folder.
         json: print the report as one JSON object at the end.
     """
+    said = _said(transfer, locals(), leave_out=("run", "resume", "json"))
     robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
     from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
@@ -162,5 +175,10 @@ def transfer(
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert)
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config))
+        pipeline.run.write_json("command", {"words": ["transfer", *said]})
         report = pipeline.play()
-    emit(report, json, summary(report, pipeline.tree) + f"\nRun folder: {folder}; look at it with: {told('view', folder)}")
+    if json:
+        emit(report, True, "")
+        return
+    document(summary(report, pipeline.tree))
+    emit(None, False, f"Run folder: {folder}\nLook at it with: {told('view', folder)}")

@@ -10,3 +10,10 @@
     shows       whole recordings: of a run, of a morph, of two robots side by side
     excerpt     one page at one moment, as a small recording of its own
 """
+
+from importlib.util import find_spec
+
+from toolkit.errors import ToolkitError
+
+if find_spec("rerun") is None:
+    raise ToolkitError("the Rerun viewer is not installed; pip install 'meta-evolve[viewer]'")

@@ -237,7 +237,7 @@ def evolution_views(plan: Plan, extent: Extent | None) -> dict[str, rrb.View]:
     if extent is not None:
         size, left, right, top, bottom = extent
         bounds = rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom))
-        name = f"alpha: {size} dimensions, dark blue 0 to yellow 1 (hover for names)"
+        name = f"alpha: {size} dimensions, blue 0 to yellow 1 (hover for names)"
         views["alpha"] = rrb.Spatial2DView(origin="evolution/alpha", name=name, background=DARK, visual_bounds=bounds)
         views["changes"] = rrb.TextDocumentView(origin="evolution/changes", name="Parameters")
     return views
@@ -249,8 +249,8 @@ def _around(points: np.ndarray, margin: tuple[float, float]) -> rrb.VisualBounds
 
 
 def heat(values: np.ndarray) -> np.ndarray:
-    """Colours (..., 3) of values in [0, 1]: dark blue by teal to light yellow, of even steps in lightness."""
-    stops = np.array([(0, 32, 81), (60, 77, 110), (127, 124, 117), (187, 175, 113), (253, 234, 69)], float)  # after cividis
+    """Colours (..., 3) of values in [0, 1]: blue by teal to light yellow, of even steps in lightness, all far from the dark behind."""
+    stops = np.array([(66, 98, 186), (58, 139, 176), (84, 175, 138), (160, 207, 94), (253, 234, 69)], float)  # viridis without its dark end
     position = np.clip(values, 0.0, 1.0) * (len(stops) - 1)
     index = np.minimum(position.astype(int), len(stops) - 2)
     share = (position - index)[..., None]

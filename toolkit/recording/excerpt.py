@@ -26,7 +26,7 @@ ROOTS = {
     "morph": ("/scene", "/evolution/tree", "/evolution/changes"),
     "rollouts": ("/scene", "/signals"),
     "learning": ("/learning",),
-    "summary": ("/summary",),
+    "summary": ("/summary", "/evolution/tree", "/evolution/pca2"),
     "compare": ("/scene", "/side"),
 }
 """Page -> the entities that it shows."""

@@ -18,7 +18,8 @@ EYE = (np.array([0.52, -0.92, 1.45]), np.array([-0.22, 0.0, 1.08]))
 def robot_view(name: str, eye: tuple[np.ndarray, np.ndarray] = EYE) -> rrb.Spatial3DView:
     """The scene from somewhere, looking at some point (3,) [m]; by default from beside the robot."""
     eye = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=(0.0, 0.0, 1.0))
-    return rrb.Spatial3DView(origin="scene", name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
+    shown = ["+ $origin/**", "- $origin/robot/bones"]  # they run through the joints; who asks for them in the viewer sees them
+    return rrb.Spatial3DView(origin="scene", contents=shown, name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
 
 
 def pages_layout(views: Callable[[], dict[str, rrb.View]], page: str | None = None, timeline: str = FILM) -> rrb.Blueprint:
@@ -57,7 +58,7 @@ def _page(name: str, views: dict[str, rrb.View]) -> rrb.Container | None:
         paths = rrb.Vertical(views["tree"], rrb.Horizontal(*have("pca2", "pca3")))
         return rrb.Horizontal(paths, *have("alpha"), name="Evolution")
     if name == "morph" and "scene" in views:
-        robot = robot_view("The robot on its way; bones and wireframes are what the physics knows")
+        robot = robot_view("The robot on its way; wireframes are what touches in the physics")
         return rrb.Horizontal(robot, rrb.Vertical(*have("tree", "changes"), row_shares=[2, 3]), column_shares=[3, 2], name="Morph")
     if name == "rollouts" and "scene" in views:
         left = rrb.Vertical(views["scene"], *have("caption"), row_shares=[4, 1])
@@ -67,5 +68,7 @@ def _page(name: str, views: dict[str, rrb.View]) -> rrb.Container | None:
         keys = have("success", "train_success", "mean_return", "kl", "sim_epochs", "train_iterations", "diverged", "wall")
         return rrb.Grid(*keys, grid_columns=4, name="Learning") if keys else None
     if name == "summary" and "summary" in views:
-        return rrb.Vertical(views["summary"], name="Summary")
+        beside = have("tree", "pca2")
+        both = rrb.Horizontal(views["summary"], rrb.Vertical(*beside), column_shares=[3, 2], name="Summary")
+        return both if beside else rrb.Vertical(views["summary"], name="Summary")
     return None

@@ -3,12 +3,13 @@
     learning/<key>     as many numbers per row as there are paths; NaN where a path is not at work
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import Chunk
 
 from toolkit.recording.stream import Stream
 
@@ -24,6 +25,17 @@ CURVES = {
     "wall": "Wall time [s]",
 }
 """Key of a record -> title of its plot. The last four are totals of the path so far."""
+FLAT = {
+    "success": "Nothing was checked.",
+    "train_success": "Nothing was trained: the policy held on every robot as it was.",
+    "mean_return": "Nothing was trained, so that there are no returns.",
+    "kl": "Nothing was trained, so that no update moved the policy.",
+    "sim_epochs": "No training episodes were needed.",
+    "train_iterations": "No updates were needed.",
+    "diverged": "No simulation diverged.",
+    "wall": "No time has passed.",
+}
+"""What stands in place of a curve that is zero all along, or is not there."""
 
 
 class LearningPage:
@@ -40,6 +52,8 @@ class LearningPage:
         self._before = 0.0
         self._waiting: dict[str, list[np.ndarray]] = {}
         self._name_lines()
+        for key, sentence in FLAT.items():
+            stream.static(f"learning/flat/{key}", rr.TextDocument(f"**{CURVES[key]}**\n\n{sentence}", media_type=rr.MediaType.MARKDOWN))
 
     def add(self, iteration: int, record: dict[str, Any]) -> None:
         """One record of the run."""
@@ -75,11 +89,26 @@ class LearningPage:
                                rr.SeriesPoints(names=self.paths, colors=colours, marker_sizes=[3.0] * len(colours)))  # fmt: skip
 
 
-def learning_views() -> dict[str, rrb.View]:
-    """One plot per quantity."""
+def flat_curves(chunks: Iterable[Chunk]) -> set[str]:
+    """Keys of the curves of a recording that are zero all along, or empty, and have a sentence for it."""
+    told, moving = set(), set()
+    for chunk in chunks:
+        place, _, key = chunk.entity_path.rpartition("/")
+        if place == "/learning/flat":
+            told.add(key)
+        if place == "/learning":
+            batch = chunk.to_record_batch()
+            rows = batch.column("Scalars:scalars").to_pylist() if "Scalars:scalars" in batch.schema.names else []
+            if any(np.nan_to_num(row or 0.0).any() for row in rows):
+                moving.add(key)
+    return told - moving
+
+
+def learning_views(flat: Collection[str] = ()) -> dict[str, rrb.View]:
+    """One plot per quantity; of those whose curve is ``flat`` a sentence."""
     unit = rrb.ScalarAxis(range=(-0.03, 1.03))
     return {
-        key: rrb.TimeSeriesView(
+        key: rrb.TextDocumentView(origin=f"learning/flat/{key}", name=title) if key in flat else rrb.TimeSeriesView(
             origin=f"learning/{key}", name=title, axis_y=unit if "success" in key else None,
             plot_legend=rrb.PlotLegend(visible=key == "success", corner=rrb.Corner2D.RightBottom))
         for key, title in CURVES.items()

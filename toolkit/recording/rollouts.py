@@ -24,12 +24,13 @@ LINES = {
     "reward": (("reward", GREEN), ("closing progress", ORANGE)),
 }
 TITLES = {
-    "position": "Grasp frame: wanted by OSC and reached [m]",
-    "action": "Action: OSC deltas and closing",
+    "position": "Grasp frame [m]: x blue, y vermilion, z green; thin and pale: where OSC wants it",
+    "action": "Action: dx blue, dy vermilion, dz green, rx sky, ry orange, rz pink, close grey",
     "distance": "Object to goal [m]",
     "grip": "Contact force of the robot on the object [N]",
     "reward": "Reward and closing progress",
 }
+"""Of two lines there is a legend; more do not fit into it, so that the title tells them apart."""
 SIGNALS = "signals"
 WINDOW = 5.5
 """[s] around the time cursor that the curves show."""
@@ -78,7 +79,7 @@ def rollouts_views(root: str = SIGNALS, whole: bool = False) -> dict[str, rrb.Vi
     window = None if whole else rrb.TimeAxis(view_range=rr.TimeRange(start=before, end=after))
     views: dict[str, rrb.View] = {
         key: rrb.TimeSeriesView(origin=f"{root}/{key}", name=title, axis_x=window,
-                                plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop) if len(LINES[key]) > 1 else None)
+                                plot_legend=rrb.PlotLegend(visible=len(LINES[key]) == 2, corner=rrb.Corner2D.RightTop))
         for key, title in TITLES.items()
     }  # fmt: skip
     views["caption"] = rrb.TextDocumentView(origin=f"{root}/caption", name="Episode")

@@ -14,6 +14,7 @@ import rerun as rr
 from scipy.spatial.transform import Rotation
 
 from toolkit.film import Film
+from toolkit.furniture import furniture, opacity
 from toolkit.morphology.appearance import Mesh, Wardrobe, body_mesh
 from toolkit.morphology.build import MergedRobot
 from toolkit.recording.stream import Stream, x_first
@@ -164,10 +165,9 @@ class Scene:
         stream.static("scene/label", rr.Points3D.from_fields(colors=BONE, radii=0.001, show_labels=True))
         template = merged.template
         stream.static("scene/object", _triangles(body_mesh(template, template.body("object").id)))
-        table = template.geom("table").id
-        stream.static("scene/table", rr.Boxes3D(
-            half_sizes=[template.geom_size[table]] * len(offsets), centers=[template.geom_pos[table] + offset for offset in self.offsets],
-            colors=(190, 184, 175), fill_mode="solid"))  # fmt: skip
+        for k, mesh in enumerate(furniture(merged.space.matching.systems[0].model)):
+            upright = [(0.0, 0.0, 0.0, 1.0)] * len(offsets)
+            stream.static(f"scene/furniture/{k}", _triangles(mesh), rr.InstancePoses3D(translations=self.offsets, quaternions=upright))
         self.tolerance = merged.task.goal_tolerance
 
     def show(self, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
@@ -223,8 +223,9 @@ class Scene:
                 return
         self._shown[mesh] = bool(seen.any())
         unique = sorted(set(robots.tolist()))
-        opacity = np.max([np.minimum(cast.weights[: len(times), unique].sum(axis=1), 1.0) for cast in casts], axis=0)
-        colours = [(255, 255, 255, int(value)) for value in np.round(255 * opacity)]
+        weights = [cast.weights[: len(times)] for cast in casts]
+        shown = np.max([opacity(each[:, unique].sum(axis=1), each.max(axis=1)) for each in weights], axis=0)
+        colours = [(255, 255, 255, int(value)) for value in np.round(255 * shown)]
         columns = _poses(positions[seen], quaternions[seen], lengths=seen.sum(axis=1))
         self.stream.rows(self.entities[mesh], times, iteration, columns, rr.Mesh3D.columns(albedo_factor=colours))
 

@@ -20,20 +20,21 @@ from toolkit.plan import Plan
 from toolkit.quoting import markdown
 from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
+from toolkit.recording.learning import flat_curves
 from toolkit.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import Cost, Story, story_layout
 from toolkit.recording.stream import FILM, Stream
 from toolkit.recording.viewer import chunks_of
-from toolkit.runs import Run, read_tree, transfer_records
+from toolkit.runs import Run, continuing, read_tree, transfer_records
 from toolkit.settings import CHECKING_SEEDS
 from toolkit.simulation.plant import Plant, merged_plant
 
 POLL = 1.0
 """[s] between two looks at a running transfer's folder."""
-APART = 1.1
+APART = 0.95
 """[m] between two robots that stand side by side."""
-FRONT = np.array([1.0, 0.0, 1.5]), np.array([-0.25, 0.0, 1.17])
+FRONT = np.array([0.75, 0.0, 1.3]), np.array([-0.25, 0.0, 1.12])
 """Where robots side by side are seen from, and the point looked at [m]."""
 
 
@@ -93,9 +94,10 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
     return cost
 
 
-def page_layout(folder: Path, recording: Path, page: str, excerpt: bool = False) -> rrb.Blueprint:
-    """The layout of one page alone, to be opened with a run's recording, or with an excerpt of it."""
-    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks_of(recording)), page, excerpt)
+def page_layout(folder: Path, recording: Path, page: str | None, excerpt: bool = False) -> rrb.Blueprint:
+    """The layout of one page alone, or of all, to be opened with a run's recording, or with an excerpt of it."""
+    chunks = list(chunks_of(recording))
+    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks), page, excerpt, flat_curves(chunks))
 
 
 def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
@@ -182,7 +184,7 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
     scene.label(0.0, 0, [f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)])
     for page, (label, _, _), film in zip(pages, sides, films, strict=True):
         page.act(times[: len(film.qpos)], 0, film)
-        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise.\n\n**{film.verdict().capitalize()}.**")
+        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise: **{film.verdict()}.**")
     stream.close()
     return films
 
@@ -193,7 +195,7 @@ def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprin
     columns = [rrb.Vertical(view["caption"], view["distance"], view["position"], view["grip"], row_shares=[1, 2, 2, 2], name=label)
                for label, view in zip(labels, views, strict=True)]  # fmt: skip
     scene = robot_view("Side by side, same seed: " + " | ".join(labels), FRONT)
-    return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[5, 6]), FILM)
+    return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[6, 5]), FILM)
 
 
 def _side(k: int) -> str:
@@ -216,7 +218,7 @@ def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
         return (folder / "summary.md").read_text(encoding="utf-8", errors="replace")
     arrived = [record["target"] for record in records if record["event"] == "arrived"]
     return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {markdown(', '.join(arrived)) or 'none yet'}. "
-            "Continue it with `meta-evolve transfer --run RUN --resume` and the settings of its config.json.")  # fmt: skip
+            f"Continue it with `{continuing(folder)}`.")  # fmt: skip
 
 
 def _edges_to(plan: Plan, source: str, target: str) -> list[dict[str, Any]]:

@@ -4,7 +4,7 @@ The same story is told while the run goes on, when a run folder is rebuilt, and 
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ from toolkit.film import shoot
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import FOLDER, Phase, Take, load_phase
+from toolkit.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.plan import Plan
-from toolkit.quoting import markdown
+from toolkit.quoting import markdown, told
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.recording.layout import page_timeline, pages_layout, robot_view
 from toolkit.recording.learning import LearningPage, learning_views
@@ -35,23 +35,25 @@ MORPH_SECONDS = 2.0
 PAUSE = 0.4
 """[s] between two scenes of the film."""
 SHARE = 0.03
-"""Of a running transfer's wall time that logging may take; what does not fit is left to a rebuild."""
+"""Of a running transfer's wall time that logging may take. At its end the landmarks are drawn all the same; the rest is left to a
+rebuild."""
 SIZE_LIMIT = 170e6
 """[bytes] from which on no more episodes are drawn, so that a recording stays under 200 MB."""
 
 
 @dataclass
 class Cost:
-    """What a recording has cost: seconds of work, of wall time; bytes of file; films drawn, and films that the phases hold."""
+    """What a recording has cost: seconds of work, of wall time; bytes of file; films drawn, and films that the phases hold, of a run."""
 
     seconds: float = 0.0
     wall: float = 0.0
     size: int = 0
     drawn: int = 0
     known: int = 0
+    run: Path = Path("RUN")
 
     def __str__(self) -> str:
-        left = "" if self.drawn == self.known else "; `meta-evolve view RUN --rebuild` plays the rest"
+        left = "" if self.drawn == self.known else f"; play the rest with: {told('view', self.run, '--rebuild')}"
         return (f"recording: {self.size / 1e6:.1f} MB, {self.seconds:.1f} s of logging ({self.seconds / max(self.wall, 1e-9):.1%} of "
                 f"{self.wall:.0f} s), {self.drawn} of {self.known} episodes{left}")  # fmt: skip
 
@@ -82,12 +84,13 @@ class Story:
         records: Sequence[dict[str, Any]] = (),
     ) -> None:
         self._began = self._busy_since = time.perf_counter()
-        self.cost = Cost()
+        self.cost = Cost(run=folder)
         self.stream, self.folder, self.merged, self.policy, self.share = stream, folder, merged, policy, share
         self._native, self._plants = native, {}
         self.clock, self.iteration = 0.0, 0
         self._paths: dict[str, dict[str, Any]] = {}  # path -> targets, phases ended, last success
         self._waiting: list[tuple[Phase, Take]] = []
+        self._known: list[tuple[Phase, Take]] = []
         self._shown: set[str] = set()  # names of phases
         self._longest = 0.0
         wardrobe = Wardrobe(merged.space.matching)
@@ -143,6 +146,7 @@ class Story:
         self._busy_since = time.perf_counter()
         self._show_going()
         self._play_waiting()
+        self._play_landmarks()
         self.learning.repeat(self.clock, self.clock + 1.0)
         self.stream.close()
         self.cost.size = self.stream.path.stat().st_size if self.stream.path is not None else 0
@@ -196,6 +200,7 @@ class Story:
             self.rollouts.caption(float(times[0]), self.iteration, f"**{markdown(path)}**, phase {phase.number}: the robot moves on.")
             self.clock = float(times[-1]) + PAUSE
         self.evolution.walked(self.clock, self.iteration, phase.start, end, phase.targets, success)
+        self._known += [(phase, take) for take in phase.takes]
         self._waiting += [(phase, take) for take in sorted(phase.takes, key=_priority if self.share is not None else _in_order)]
         self.cost.known += len(phase.takes)
 
@@ -216,6 +221,13 @@ class Story:
             before = self._spent()
             self._play(*self._waiting.pop(0))
             self._longest = max(self._longest, self._spent() - before)
+
+    def _play_landmarks(self) -> None:
+        """Whatever the share: every path has something to watch, also of a run that was too quick to draw while it went on."""
+        waiting = {id(take) for _, take in self._waiting}
+        for phase, take in landmarks(self._known):
+            if id(take) in waiting and (self.stream.path is None or self.stream.path.stat().st_size <= SIZE_LIMIT):
+                self._play(phase, take)
 
     def _play(self, phase: Phase, take: Take) -> None:
         plant = self._plant(phase, take)
@@ -256,13 +268,23 @@ class Story:
                 f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")  # fmt: skip
 
 
-def story_layout(plan: Plan, extent: Extent | None, page: str | None = None, excerpt: bool = False) -> rrb.Blueprint:
-    """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best, or of an excerpt."""
+def story_layout(
+    plan: Plan, extent: Extent | None, page: str | None = None, excerpt: bool = False, flat: Collection[str] = ()
+) -> rrb.Blueprint:
+    """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best, or of an excerpt.
+
+    Args:
+        plan: of its tree.
+        extent: of its heat map.
+        page: one of PAGES; None: all.
+        excerpt: of one.
+        flat: curves in whose place a sentence stands.
+    """
 
     def views() -> dict[str, rrb.View]:
         own = {"scene": robot_view("Episode: goal, trail, OSC target, contact forces"),
                "summary": rrb.TextDocumentView(origin="summary", name="Summary")}  # fmt: skip
-        return evolution_views(plan, extent) | learning_views() | rollouts_views(whole=excerpt) | own
+        return evolution_views(plan, extent) | learning_views(flat) | rollouts_views(whole=excerpt) | own
 
     return pages_layout(views, page, page_timeline(page))
 

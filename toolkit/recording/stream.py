@@ -18,6 +18,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from toolkit.errors import ToolkitError
+from toolkit.quoting import told
 from toolkit.recording.programs import viewer_program
 
 APPLICATION = "meta-evolve"
@@ -139,7 +140,8 @@ class Stream:
 def lost(path: Path | None, why: str) -> ToolkitError:
     """The sentence on a recording that is not whole."""
     where = "the viewer takes no more" if path is None else f"recording {path} is cut off"
-    return ToolkitError(f"{where} ({why[:100]}); free space there and make it anew, a run's with `meta-evolve view RUN --rebuild`")
+    again = f", with: {told('view', path.parent, '--rebuild')}" if path is not None and path.name == "recording.rrd" else ""
+    return ToolkitError(f"{where} ({why[:100]}); free space there and make it anew{again}")
 
 
 def finish(stream: rr.RecordingStream, path: Path | None) -> None:

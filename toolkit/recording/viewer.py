@@ -26,6 +26,10 @@ STILL_PATIENCE = 180.0
 """[s] that a viewer without a screen may take to show a recording."""
 OPENING = 1.5
 """[s] within which a viewer that cannot draw here has ended."""
+CANNOT_DRAW = (
+    "the viewer cannot draw here; install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers libvulkan1), then see: "
+    "meta-evolve doctor"
+)
 LOOK = 1.0
 """[s] between two looks at a viewer without a screen; meshes and texts are loaded, frame by frame, when two look the same."""
 
@@ -121,9 +125,7 @@ def still(files: Sequence[Path], out: Path, at: float | None = None, size: str =
     process = subprocess.Popen(command, env=calm, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if not _answers(port, process):
-            raise ToolkitError(
-                "the viewer cannot draw here; install a Vulkan driver (Debian: mesa-vulkan-drivers) and set VK_DRIVER_FILES to it"
-            )
+            raise ToolkitError(CANNOT_DRAW)
         picture = _picture(port, process, files[0], moment, timeline)
     finally:
         process.terminate()
@@ -139,7 +141,6 @@ def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str,
     from rerun.experimental import ViewerClient
 
     deadline = time.monotonic() + STILL_PATIENCE
-    problem: Exception | str = "it does not answer"
     while time.monotonic() < deadline and process.poll() is None:
         try:
             client = ViewerClient(f"127.0.0.1:{port}")
@@ -148,10 +149,12 @@ def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str,
                 if moment:
                     client.set_time(timeline, **moment, play_state="paused")
                 return _settled(client, deadline)
-        except (TimeoutError, RuntimeError, ConnectionError) as error:
-            problem = error
+        except (TimeoutError, RuntimeError, ConnectionError):
+            pass  # it is still opening; what rerun's client says of it helps nobody
         time.sleep(LOOK)
-    raise ToolkitError(f"the viewer did not show {file} within {STILL_PATIENCE:.0f} s ({problem}); see `meta-evolve doctor`")
+    if process.poll() is not None:  # it breaks down in its first frame where there is no driver
+        raise ToolkitError(CANNOT_DRAW)
+    raise ToolkitError(f"the viewer did not show {file} within {STILL_PATIENCE:.0f} s; if the machine is not busy, see: meta-evolve doctor")
 
 
 def _settled(client: "ViewerClient", deadline: float) -> bytes:

@@ -124,8 +124,12 @@ def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
 
 @letters
 def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
-    """Learning curves over the run's records, one line per path; hollow: a robot too far away, a shorter step follows."""
-    told = lambda event, name: any(event in (None, r["event"]) and r.get(name) is not None for r in records)  # noqa: E731
+    """Learning curves over the run's records, one line per path; hollow: a robot too far away, a shorter step follows.
+
+    A count that is zero all along has no panel; the page says so in words.
+    """
+    records = [r | {"event": "check"} if r["event"] == "look" and r.get("held") else r for r in records]  # a look that held is a check
+    told = lambda event, name: any(event == r["event"] and r.get(name) is not None or event is None and r.get(name) for r in records)  # noqa: E731
     shown = {key: panel for key, panel in PANELS.items() if told(*panel[:2])} or {"success": PANELS["success"]}
     figure = _figure(PAGE, 0.5 + 1.4 * len(shown))
     panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from toolkit.capability.figure import audit_figure
 from toolkit.errors import ToolkitError
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
@@ -62,7 +63,7 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     run = Run.open(folder)
     unread: list[str] = []
     records, phases, plan = transfer_records(run), load_phases(folder, unread.append), Plan(tree)
-    report = read_report(folder, ("targets", "totals", "wall_s"))
+    report = read_report(folder, ("targets", "totals", "wall_s", "time"))
     pictures: dict[str, bytes] = {}
     progress("figures")
     walked = walked_edges(plan, records, phases)
@@ -72,6 +73,9 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     pictures["curves"] = figures.png(figures.curves_figure(records))
     pictures["parameters"] = figures.png(figures.heat_figure(merged.space, {
         name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))  # fmt: skip
+    audit = read_audit(folder)
+    if audit is not None:
+        pictures["audit"] = figures.png(audit_figure(audit["edges"]))
     missing = unread
     try:
         for index, strip in enumerate(_strips(plan, merged, progress), start=1):
@@ -138,7 +142,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     parts += ["<h2>Evolution tree</h2>", _figure(pictures, "tree", legend)]
     parts += [_figure(pictures, "projection", "The tree and the walked paths in the plane in which the robots differ most.")]
     legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
-    parts += ["<h2>Learning</h2>", _figure(pictures, "curves", legend), _paths(records), _trouble(phases)]
+    parts += ["<h2>Learning</h2>", _nothing(records), _figure(pictures, "curves", legend), _paths(records), _trouble(phases)]
     parts += ["<h2>Robots on their way</h2>"]
     audit = read_audit(run.path)
     if audit is not None:
@@ -156,11 +160,20 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     return f'<!DOCTYPE html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n' + "\n".join(parts) + "\n</body></html>\n"
 
 
+def _nothing(records: list[dict[str, Any]]) -> str:
+    """What stands in place of curves that are zero all along."""
+    if not records or any(record["sim_epochs"] for record in records):
+        return ""
+    return "<p>Nothing was trained: the policy held on every robot of its way as it was.</p>"
+
+
 def _status(records: list[dict[str, Any]], report: dict[str, Any] | None) -> str:
     if report is not None:
         totals = report["totals"]
         return (f"<p>Finished: {totals['train_iterations']} updates, {totals['sim_epochs']} training episodes, {totals['check_episodes']} "
-                f"checking episodes, {totals['diverged']} diverged simulations, {report['wall_s'] / 60:.1f} minutes.</p>")  # fmt: skip
+                f"checking episodes, {totals['diverged']} diverged simulations. "
+                f"The transfer took {report['time']['wall_s'] / 60:.1f} minutes, with the final evaluation "
+                f"{report['wall_s'] / 60:.1f}.</p>")  # fmt: skip
     reached = [record["target"] for record in records if record["event"] == "arrived"]
     names = html.escape(", ".join(reached) or "none yet")
     return (f'<p class="note">Not finished: {len(records)} records so far; targets reached: {names}. '

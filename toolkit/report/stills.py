@@ -1,4 +1,4 @@
-"""Robots rendered off screen by MuJoCo: what the merged robot wears, one robot fading into another."""
+"""Robots rendered off screen by MuJoCo: what the merged robot wears, one robot fading into another, and what they carry where."""
 
 import os
 from collections.abc import Callable
@@ -6,13 +6,15 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from tasks.pick import TABLE_FULL_SIZE, TABLE_TOP
 from toolkit.errors import ToolkitError
-from toolkit.morphology.appearance import Wardrobe
+from toolkit.furniture import furniture, opacity
+from toolkit.morphology.appearance import Wardrobe, body_mesh
 from toolkit.morphology.build import MergedRobot
 
-CAMERA = {"lookat": (-0.17, 0.0, 1.06), "distance": 1.05, "azimuth": 125.0, "elevation": -18.0}
+CAMERA = {"lookat": (-0.27, 0.0, 1.15), "distance": 1.35, "azimuth": 125.0, "elevation": -18.0}
 """Where the picture is taken from: [m], [m], [deg], [deg]."""
+
+GOAL = (0.0, 0.62, 0.45, 0.35)
 
 
 class Studio:
@@ -47,19 +49,37 @@ class Studio:
         """Picture (height, width, 3), 0 to 255, of the robot alpha (D,)."""
         self.merged.become(alpha, self._robot, self._robot_data)
         mujoco.mj_kinematics(self._robot, self._robot_data)
-        positions, quaternions = self.wardrobe.poses(self._robot_data, self._links)
-        weights = self.wardrobe.weights(alpha, self.merged.space.betas)
+        return self.draw(*self.wardrobe.poses(self._robot_data, self._links), self.wardrobe.weights(alpha, self.merged.space.betas))
+
+    def draw(
+        self, positions: np.ndarray, quaternions: np.ndarray, weights: np.ndarray, carried: np.ndarray | None = None,
+        goal: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """Picture (height, width, 3), 0 to 255.
+
+        Args:
+            positions, quaternions: (n_worn, 3) [m] and (n_worn, 4), w first, of everything worn, world.
+            weights: (n_robots,) how much of each robot shows.
+            carried: (7,) position [m] and quaternion of the object, world; None: where it begins.
+            goal: (3,) [m] where it should be; None: not shown.
+        """
+        thing = self.merged.template.body("object")
+        self._data.mocap_pos[-2] = thing.pos if carried is None else carried[:3]
+        self._data.mocap_quat[-2] = thing.quat if carried is None else carried[3:]
+        self._data.mocap_pos[-1] = 0.0 if goal is None else goal
+        self._model.geom_rgba[self._model.geom("goal").id, 3] = 0.0 if goal is None else 0.35
         drawn: list[int] = []
+        shares = np.zeros(len(self.wardrobe.worn))
         for k, item in enumerate(self.wardrobe.worn):
             self._data.mocap_pos[k], self._data.mocap_quat[k] = positions[k], quaternions[k]
             twins = [j for j in drawn if self.wardrobe.worn[j].mesh == item.mesh and self.wardrobe.worn[j].robot != item.robot
                      and np.abs(positions[j] - positions[k]).max() < 1e-3]  # fmt: skip
-            opacity = weights[item.robot]
+            shares[k] = weights[item.robot]
             if twins:  # arms that robots share: one picture, with the weight of both
-                self._model.geom_rgba[self._worn[twins[0]], 3] = min(1.0, self._model.geom_rgba[self._worn[twins[0]], 3] + opacity)
-                opacity = 0.0
-            self._model.geom_rgba[self._worn[k], 3] = opacity
+                shares[twins[0]] += shares[k]
+                shares[k] = 0.0
             drawn.append(k)
+        self._model.geom_rgba[self._worn, 3] = opacity(shares, weights.max())
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         everything = mujoco.mjtCatBit.mjCAT_ALL
@@ -91,12 +111,18 @@ def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
         colour = wardrobe.meshes[item.mesh].colours.mean(axis=0) / 255
         body = spec.worldbody.add_body(name=f"worn{k}", mocap=True)
         body.add_geom(name=f"worn{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{item.mesh}", contype=0, conaffinity=0, rgba=colour)
-    half = np.array(TABLE_FULL_SIZE) / 2
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]], rgba=[0.8, 0.78, 0.74, 1])
-    thing = merged.template.body("object")
-    geom = merged.template.geom(int(merged.template.body_geomadr[thing.id]))
-    if geom.type[0] != mujoco.mjtGeom.mjGEOM_MESH:
-        spec.worldbody.add_geom(type=mujoco.mjtGeom(int(geom.type[0])), size=geom.size, pos=thing.pos, rgba=geom.rgba)
+    for mesh in furniture(merged.space.matching.systems[0].model):
+        asset = spec.add_mesh(name=mesh.name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, contype=0, conaffinity=0,
+                                rgba=mesh.colours.mean(axis=0) / 255)  # fmt: skip
+    thing = body_mesh(merged.template, merged.template.body("object").id)
+    asset = spec.add_mesh(name="object", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    asset.uservert, asset.userface = thing.vertices.ravel(), thing.faces.ravel().astype(int)
+    spec.worldbody.add_body(name="object", mocap=True).add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="object", contype=0, conaffinity=0, rgba=thing.colours.mean(axis=0) / 255)
+    spec.worldbody.add_body(name="goal", mocap=True).add_geom(
+        name="goal", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[merged.task.goal_tolerance, 0, 0], contype=0, conaffinity=0, rgba=GOAL)
     spec.worldbody.add_light(pos=[0.6, -1.0, 2.6], dir=[-0.3, 0.4, -1.0], castshadow=False)
     return spec.compile()
 
