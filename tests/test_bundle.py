@@ -366,7 +366,7 @@ def test_a_manifest_of_another_policy_is_refused_by_the_entry_that_differs(copy)
 
 
 def test_a_manifest_that_was_edited_by_hand_is_refused(copy):
-    edit(copy, lambda m: m["joints"][2].update(speed=100.0))
+    edit(copy, lambda m: m["joints"][2].update(speed=0.5))
     with pytest.raises(ToolkitError, match="differ in 'joints'"):
         load_bundle(copy)
 

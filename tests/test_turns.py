@@ -39,7 +39,8 @@ def info_of(bundle, joints=None):
 
 
 def played(bundle, form, turns=lambda tick: 0.0, order=None):
-    """What an arm that follows its targets exactly, and counts turns in its own way, is sent; angles as it reports them.
+    """What an arm that moves as in the golden episode (told joint targets: that follows them exactly), and counts turns in its own way, is
+    sent; angles as it reports them.
 
     Args:
         turns: tick -> whole turns (n,) by which its readings differ.
@@ -52,8 +53,9 @@ def played(bundle, form, turns=lambda tick: 0.0, order=None):
     angles, sent, read = g["episode_joints"][0].copy(), [], []
     for tick in range(TICKS):
         shift = TURN * turns(tick) * endless(bundle)
-        state = State(0.05 * tick, (angles + shift)[order], g["episode_object_position"][0], g["episode_object_quaternion"][0],
-                      g["episode_goal"], g["episode_fingers"][0])  # fmt: skip
+        angles = angles if form == "joint" else g["episode_joints"][tick]
+        state = State(0.05 * tick, (angles + shift)[order], g["episode_object_position"][tick], g["episode_object_quaternion"][tick],
+                      g["episode_goal"], g["episode_fingers"][tick])  # fmt: skip
         if tick == 0:
             assert runtime.begin(state, state.stamp) is None
         done = runtime.tick(state, state.stamp)
