@@ -40,7 +40,9 @@ def arm(bundle):
 def told(arm, bundle, velocity=(0.0,) * N, effort=(0.0,) * N, position=None, names=None):
     names = list(arm.ros_names) if names is None else names
     position = bundle.golden["episode_joints"][0].tolist() if position is None else position
-    arm.heard(SimpleNamespace(name=names, position=position, velocity=list(velocity), effort=list(effort)))
+    now = time.monotonic()
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=int(now), nanosec=int(1e9 * (now % 1.0))))
+    arm.heard(SimpleNamespace(header=header, name=names, position=position, velocity=list(velocity), effort=list(effort)))
 
 
 def starts(arm, bundle):
@@ -149,6 +151,7 @@ def test_ur_before_its_first_package(bundle, key, value):
     arm = UniversalRobots("10.0.0.1", "iiwa", names, scene_of(bundle), lambda *to: None, lambda: 1.0)
     answers = {"getActualQ": [0.0] * N, "getActualQd": [0.0] * N, "getTargetMoment": [0.0] * N} | {key: value}
     arm._receive = SimpleNamespace(isEmergencyStopped=lambda: False, isProtectiveStopped=lambda: False,
+                                   isConnected=lambda: True, getTimestamp=time.monotonic,
                                    **{name: (lambda found=found: found) for name, found in answers.items()})  # fmt: skip
     if key == "getActualQ":
         with pytest.raises(ToolkitError, match=rf"reports {len(value)} joints, not 7"):
@@ -161,7 +164,8 @@ def test_ur_before_its_first_package(bundle, key, value):
 def test_franka_without_a_hand_that_answers(bundle):
     names = [joint.name for joint in bundle.manifest.joints]
     arm = Franka("172.16.0.2", "iiwa", names, scene_of(bundle), 0.08)
-    arm._arm = SimpleNamespace(state=SimpleNamespace(q=np.zeros(N), dq=np.zeros(N), tau_J=np.zeros(N)), has_errors=False)
+    arm._arm = SimpleNamespace(state=SimpleNamespace(q=np.zeros(N), dq=np.zeros(N), tau_J=np.zeros(N),
+                                               time=SimpleNamespace(to_sec=time.monotonic)), has_errors=False)
     for width in (float("nan"), -1.0, 8.0):
         arm._hand = SimpleNamespace(width=width)
         with pytest.raises(ToolkitError, match="the hand reports a width of"):

@@ -586,7 +586,7 @@ def test_a_document_is_drawn_on_a_terminal_alone(capsys, monkeypatch):
     monkeypatch.setattr(rich.console.Console, "is_terminal", True)
     document(text)
     out = capsys.readouterr().out
-    assert "|---|" not in out and "3 of 4" in out and "━" in out
+    assert "|---|" not in out and "3 of 4" in out and "─" in out
 
 
 # -- stopped -------------------------------------------------------------------------------------------------

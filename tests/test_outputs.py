@@ -122,8 +122,8 @@ def test_a_recording_on_a_disk_that_fills_is_a_sentence(small, size):
     from toolkit.recording.stream import RESERVE
 
     subprocess.run(["mount", "-o", f"remount,size={size}", str(small)], check=True)
-    rng, path = np.random.default_rng(0), small / "a.rrd"
-    with pytest.raises(ToolkitError, match=r"a.rrd is cut off \(No space left on device.*--rebuild"):
+    rng, path = np.random.default_rng(0), small / "recording.rrd"
+    with pytest.raises(ToolkitError, match=r"recording.rrd is cut off \(No space left on device.*--rebuild"):
         stream = Stream(path)
         for k in range(1500):
             stream.row("x", k / 10, k, rr.Tensor(rng.integers(0, 255, 20_000, dtype=np.uint8)))
