@@ -100,7 +100,7 @@ OBSERVATION_SCALE = np.concatenate(
 EXPLORED: dict[str, float] = {"object_from_grasp": 0.012, "goal_from_object": 0.05}
 """Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
 where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An object
-that turned in the grasp, or hangs lower in it, is carried past the goal by up to 15 cm."""
+that turned in the grasp, or hangs lower in it, is carried past the goal."""
 EXPLORED_DEVIATION = np.concatenate([np.full(size, EXPLORED.get(name, 0.0)) for name, size in OBSERVATION.items()])
 """The same as one vector (n_obs,), 0 where nothing is explored."""
 
