@@ -283,11 +283,8 @@ class Pipeline:
 
     def _bends(self) -> dict[frozenset[str], np.ndarray]:
         """Targets behind each edge that is not straight -> the parameters that go first on it, as the audit found it best."""
-        if self.job.transfer.path != "bent":
-            return {}
-        first = {(edge["from"], edge["to"]): edge.get("first") for edge in read_audit(self.run.path)["edges"]}
-        plan = Plan(self.tree.to_json())
-        return {plan.below[to]: self.lab.space.side(side) for (_, to), side in first.items() if side in SIDES}
+        below, edges = Plan(self.tree.to_json()).below, read_audit(self.run.path)["edges"]
+        return {below[edge["to"]]: self.lab.space.side(edge["first"]) for edge in edges if edge.get("first") in SIDES}
 
     def _stalled(self, branch: Branch) -> None:
         """Ask of a path whose budget is spent what changes on the robots where it stands."""

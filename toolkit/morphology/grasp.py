@@ -312,18 +312,16 @@ class GraspLaw:
             fulls.append(full)
             rows[robot] = own - needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
         each = np.arange(len(self.fingers))
-        tilts[~(force > 0)] = np.nan
-        tilts = self._known(tilts, 0.0)
+        # A finger's height and tilt are told by the robots whose finger presses; the others' are nobody's concern.
+        pressing = force > 0
+        tilts = self._known(np.where(pressing, tilts, np.nan), 0.0)
+        heights = self._known(np.where(pressing, heights, np.nan), heights.mean(axis=0))
         shares, ramps, fulls = (self._known(np.array(v), d) for v, d in ((shares, 0.5), (ramps, 0.0), (fulls, 1.0)))
         # A joint without a motor has no course of its own to keep to.
         early, late = (
             self._known(np.where(strong, at - part[:, self._finger_of] * np.array(ways), np.nan), 0.0)
             for at, part in ((early, shares), (late, fulls))
         )
-        # A finger's height is told by the robots whose finger presses; the others' is nobody's concern.
-        pressing = force > 0
-        known = np.where(pressing.any(axis=0), (heights * pressing).sum(axis=0) / np.maximum(pressing.sum(axis=0), 1), heights.mean(axis=0))
-        heights = np.where(pressing, heights, known)
         self._strongest = np.maximum(np.abs(motors).max(axis=0), STRONGEST)
         blocks = [
             ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
@@ -353,7 +351,7 @@ class GraspLaw:
         return out
 
     @staticmethod
-    def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
+    def _known(values: np.ndarray, otherwise: float | np.ndarray) -> np.ndarray:
         """(n_robots, n) with the mean over the robots that know it where one does not (NaN); nobody does: ``otherwise``."""
         lacking = np.isnan(values)
         known = np.where(lacking, 0.0, values).sum(axis=0) / np.maximum((~lacking).sum(axis=0), 1)
@@ -419,8 +417,8 @@ class GraspLaw:
         angles, force, gap, height, tilt, off, error, beyond, slack, both, most, share, early, ramp, late, passive = (
             value[cut] for cut in self._cuts.values()
         )
-        gap = gap - np.maximum(gap, 0.0) * np.clip(force / PRESSING, 0.0, 1.0)
         minding = np.clip(force / PRESSING, 0.0, 1.0)
+        gap = gap - np.maximum(gap, 0.0) * minding
         angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding, tilt)
         torque = self._needed(model, data, p, angles, touches * force, nearest + off.reshape(-1, 3)) + error
         torque = np.clip(torque, -self._strongest, self._strongest)
@@ -435,7 +433,6 @@ class GraspLaw:
         excess, slack = excess - shared + both, slack - shared + both
         pressing = angles + torque / np.maximum(stiffness, WEAKEST)
         closed = pressing + np.where(self._main, excess, 0.0) / np.maximum(stiffness, WEAKEST)
-        share = np.clip(share, *TOUCHING)
         full = np.minimum(share + np.exp(ramp) * p.rate / (1.0 - p.preshape), 1.0)
         shares = [share[self._finger_of], full[self._finger_of], np.ones(len(closed))]
         ways = [np.where(stiffness > WEAKEST, way, p.start_target) for way in (angles - early, pressing - late, closed)]
