@@ -98,6 +98,22 @@ def claim_file(file: TextIO, mend: str) -> None:
         pass  # a device, or a disk without locks
 
 
+def open_claimed(path: Path, mode: str, option: str) -> TextIO:
+    """A file, with the folders above it, that only this process writes as long as it is open.
+
+    Args:
+        mode: "a" or "a+": it is not emptied before it is claimed.  option: that names another file.
+
+    Raises:
+        ToolkitError: another process writes it.
+        OSError: it cannot be opened.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = path.open(mode, encoding="utf-8")
+    claim_file(file, f"give another {option}")
+    return file
+
+
 def _is_ours(file: Path) -> bool:
     if file not in _held:
         return False

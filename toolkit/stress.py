@@ -21,7 +21,7 @@ import numpy as np
 from robots.robot import Robot
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
 from toolkit.bundle import load_bundle
-from toolkit.claims import claim_file
+from toolkit.claims import open_claimed
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, NativeRobot
 from toolkit.learning.policy import GaussianPolicy
@@ -285,9 +285,7 @@ class Ledger:
         if path is None:
             return
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a+", encoding="utf-8")
-            claim_file(self._file, "give another --out")
+            self._file = open_claimed(path, "a+", "--out")
             self._file.seek(0)
             lines = self._file.read().splitlines()
         except OSError as error:

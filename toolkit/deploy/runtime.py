@@ -15,7 +15,7 @@ from typing import Any, Literal, TextIO
 import numpy as np
 
 from toolkit.bundle import Bundle
-from toolkit.claims import claim_file
+from toolkit.claims import open_claimed
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
@@ -317,9 +317,7 @@ class TickLog:
         if path is None:
             return
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a", encoding="utf-8")
-            claim_file(self._file, "give another --log")
+            self._file = open_claimed(path, "a", "--log")
             if self._file.seekable() and self._file.tell():
                 self._file.truncate(0)  # begun anew, but not under another's pen
         except OSError as error:
