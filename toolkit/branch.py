@@ -1,7 +1,7 @@
 """A policy on its way to the targets that share it, and what the way has cost."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -50,6 +50,7 @@ class Branch:
         updates: updates in this phase.
         stage: "evolve" on the tree, "settle" on the native robot.
         looked: whether this policy has looked along the way from here, and not moved by training since.
+        hopes: (D,) robots ahead that are still to be trained for, on which it succeeded sometimes when it looked; the farthest first.
         turn: whose turn it is in this phase: "offset" (the search) or "weights" (NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen.
@@ -71,6 +72,7 @@ class Branch:
     updates: int = 0
     stage: Literal["evolve", "settle"] = "evolve"
     looked: bool = False
+    hopes: list[np.ndarray] = field(default_factory=list)
     turn: Literal["offset", "weights"] = "offset"
     turns: int = 0
     idle: int = 0
@@ -91,6 +93,8 @@ class Branch:
         for name in ("next_alpha", "deviation"):
             if getattr(self, name) is not None:
                 found[f"{prefix}.{name}"] = getattr(self, name)
+        if self.hopes:
+            found[f"{prefix}.hopes"] = np.array(self.hopes)
         if self.trials is not None:
             found |= {f"{prefix}.trials.{name}": array for name, array in vars(self.trials).items()}
         return found if self.best is None else found | network_tensors(f"{prefix}.best", self.best)
@@ -125,7 +129,7 @@ def stored_branch(
     kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
     return Branch(
         alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, next_alpha=tensors.get(f"{prefix}.next_alpha"),
-        deviation=tensors.get(f"{prefix}.deviation"), best=best,
+        deviation=tensors.get(f"{prefix}.deviation"), best=best, hopes=list(tensors.get(f"{prefix}.hopes", ())),
         trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
         **{key: state[key] for key in _PLAIN if key in state},
     )  # fmt: skip

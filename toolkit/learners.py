@@ -107,11 +107,12 @@ class OffsetLearner:
         self.config, self.sampler, self.deviation = config, sampler, deviation
         self._entries = np.flatnonzero(deviation)
 
-    def improve(self, branch: Branch, player: Player, alpha: np.ndarray, holds: bool = False) -> bool:
-        """One update on the robot ``alpha`` (D,); where the policy ``holds`` already, a phase begins with deviations for polishing.
+    def improve(self, branch: Branch, player: Player, alpha: np.ndarray, success: float, holds: bool = False) -> bool:
+        """One update on the robot ``alpha`` (D,), where the policy's mean action was measured to have that ``success``; where it
+        ``holds`` already, a phase begins with deviations for polishing.
 
         Mirrored offsets of a pair play the same start, so that a pair's difference is the offset's. The first batch of a phase ends after
-        its first episodes if none succeeds.
+        its first episodes if none succeeds, unless the policy itself does.
 
         Returns:
             whether it learned; without a success the policy is left alone.
@@ -127,15 +128,15 @@ class OffsetLearner:
         policies = [shifted(branch.policy, offset) for offset in offsets]
         batch = []
         for part in (slice(0, LOOK), slice(LOOK, None)) if branch.updates == 0 else (slice(None),):
-            if seeds[part] and (not batch or any(episode.success for episode in batch)):
+            if seeds[part] and (not batch or success > 0 or any(episode.success for episode in batch)):
                 batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])
-        success = np.array([episode.success for episode in batch], float)
+        ended = np.array([episode.success for episode in batch], float)
         centre, deviation = np.array(branch.policy.layers().shift[self._entries]), branch.deviation[self._entries]
         seen = branch.trials or Trials.none(len(self._entries))
-        branch.trials = seen.add(centre + offsets[: len(batch), self._entries], centre, deviation, success, settings.reuse)
-        learned = bool(branch.trials.success.any())
+        branch.trials = seen.add(centre + offsets[: len(batch), self._entries], centre, deviation, ended, settings.reuse)
+        learned = success > 0 or bool(branch.trials.success.any())
         if learned:
-            mean, spread = natural_step(branch.trials, centre, deviation, settings.prior)
+            mean, spread = natural_step(branch.trials, centre, deviation, settings.prior, success, settings.batch_size)
             step = np.zeros_like(self.deviation)
             step[self._entries] = deviation * mean
             branch.policy = shifted(branch.policy, step)
@@ -146,7 +147,7 @@ class OffsetLearner:
             cost.train_iterations += 1
         branch.updates += 1
         play_seconds = sampler.spent["play_s"] - before
-        sampler.say("update", branch, learner="search", train_success=float(success.mean()), learned=learned,
+        sampler.say("update", branch, learner="search", train_success=float(ended.mean()), learned=learned,
                     width=float((branch.deviation[self._entries] / self.deviation[self._entries]).mean()),
                     mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
                     episodes_per_s=len(batch) / play_seconds, play_s=play_seconds)  # fmt: skip

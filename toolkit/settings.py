@@ -52,8 +52,8 @@ class TransferConfig:
     learner: Learner = "npg"
     """"npg": the natural policy gradient on the weights alone (paper). "search": first an offset of what the policy sees, held for an
     episode and moved to what succeeds; the weights' turn comes where that brings no more (adaptive steps only)."""
-    patience: int = 3
-    """Search: measurements in a phase without a better success after which the other learner's turn comes, or the step is halved."""
+    patience: int = 4
+    """Search: measurements in a phase without a better success after which the other learner's turn comes, or another robot is tried."""
     exploration: float | None = None
     """Standard deviation of every action's noise when the transfer begins, which training then changes; None: the expert's own."""
     threshold: float = 2 / 3

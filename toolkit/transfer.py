@@ -213,36 +213,46 @@ class Transfer:
         if outcome == "held":
             self.move(branch, branch.next_alpha, length, trained=True)
         elif outcome == "stalled":
+            self.try_nearer(branch)
+
+    def try_nearer(self, branch: Branch) -> None:
+        """After a phase without success train for the next hope, else for a robot half as far, and at the nearest look ahead anew."""
+        assert branch.next_alpha is not None
+        if branch.hopes:
+            branch.begin_phase(branch.hopes.pop(0))
+        elif self.can_halve(branch):
             branch.begin_phase(branch.alpha + 0.5 * (branch.next_alpha - branch.alpha))
+        else:
+            branch.looked = False  # the policy has changed since
+            branch.begin_phase()
 
     def look_ahead(self, branch: Branch, step: MetaStep) -> None:
         """Go at once to the farthest robot on which the policy holds already, if there is any.
 
         First the unmodified robot of an only target, then the end of the way, its corner, the targets behind it, and robots in between.
-        For plain NPG these are only robots beyond the stride that `choose_next` tries anyway.
+        For plain NPG these are only robots beyond the stride that `choose_next` tries anyway. The search remembers where the policy
+        succeeds at least sometimes: training there is cheaper than anywhere nearer.
         """
         end, alone = self.ahead(branch, step), len(branch.targets) == 1
         way = end - branch.alpha
         distance = float(np.linalg.norm(way))
-        branch.looked = True
+        branch.looked, branch.hopes = True, []
         if alone and self.config.native and branch.targets[0] in self.native:
             branch.stage = "settle"
             goal = self.goals[branch.targets[0]]
-            holds = self.holds(branch, self.native_player(branch), goal)
+            held, _ = self.look(branch, self.native_player(branch), goal)
             branch.stage = "evolve"
-            if holds:
+            if held:
                 self.move(branch, goal, distance, trained=False)
                 branch.stage = "settle"
                 return
         tried = 0.0 if self.offsets is not None else 2 * branch.stride
-        if end is not step.meta_alpha and self.holds(branch, self.engine, step.meta_alpha):
-            self.move(branch, step.meta_alpha, float(np.linalg.norm(step.meta_alpha - branch.alpha)), trained=False)
+        if end is not step.meta_alpha and self.leap(branch, step.meta_alpha):
             return
         for share in LOOKS:
             if share == 1.0 or share * distance >= self.config.xi:
                 robot = branch.alpha + share * way if share < 1.0 else end
-                if share * distance > tried and self.holds(branch, self.engine, robot):
-                    self.move(branch, robot, share * distance, trained=False)
+                if share * distance > tried and self.leap(branch, robot):
                     branch.looked = share < 1.0  # farther on it has just failed
                     return
             if share == 1.0 and not alone and self.leave(branch):
@@ -250,7 +260,7 @@ class Transfer:
 
     def leave(self, branch: Branch) -> bool:
         """Targets on which the policy holds already leave the tree: each gets its own branch, there; returns whether there are any."""
-        held = [name for name in branch.targets if self.holds(branch, self.engine, self.goals[name])]
+        held = [name for name in branch.targets if self.look(branch, self.engine, self.goals[name])[0]]
         if not held:
             return False
         others = frozenset(branch.targets) - frozenset(held)
@@ -260,14 +270,24 @@ class Transfer:
                 self.move(child, goal, float(np.linalg.norm(goal - child.alpha)), trained=False)
         return True
 
-    def holds(self, branch: Branch, player: Player, robot: np.ndarray) -> bool:
-        """Whether the policy has the success on the robot (D,) that moving on there takes, at a look."""
+    def leap(self, branch: Branch, robot: np.ndarray) -> bool:
+        """Go to the robot (D,) at once if the policy holds there; remember it as a hope of the search if it succeeds sometimes."""
+        held, success = self.look(branch, self.engine, robot)
+        if held:
+            self.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=False)
+        elif self.offsets is not None and success >= self.config.signal:
+            branch.hopes.append(robot)
+        return held
+
+    def look(self, branch: Branch, player: Player, robot: np.ndarray) -> tuple[bool, float]:
+        """Whether the policy has the success on the robot (D,) that moving on there takes, and the success of its mean action."""
         wanted, enough, episodes = self.config.threshold, self.config.noisy_threshold, self.config.check_episodes
-        if self.sampler.success(branch, player, robot, wanted, episodes, look=True) < wanted:
-            return False
-        return not self.asks_noise(branch, robot) or (
-            self.sampler.success(branch, player, robot, enough, episodes, exploring=True) >= enough
+        success = self.sampler.success(branch, player, robot, wanted, episodes, look=True)
+        held = success >= wanted and (
+            not self.asks_noise(branch, robot)
+            or self.sampler.success(branch, player, robot, enough, episodes, exploring=True) >= enough
         )
+        return held, success
 
     def asks_noise(self, branch: Branch, robot: np.ndarray) -> bool:
         """Whether the exploring policy has to succeed on the robot (D,) as well: NPG learns from such successes in what follows."""
@@ -277,12 +297,16 @@ class Transfer:
     def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
         """Pick the next robot on the way to ``meta`` (D,).
 
-        Fixed steps go xi far. The search trains for the robot twice the last stride ahead, and halves that where it finds no success.
+        Fixed steps go xi far. The search trains for the farthest hope, without one for the robot twice the last stride ahead, and halves
+        that where it finds no success.
         Adaptive steps of plain NPG try twice the last stride and halve it until the policy holds, and what holds is taken at once; or until
         it succeeds often enough under noise to learn there, or xi is reached, and training begins. Where only noise stands in the way,
         there is less of it. The way has one direction per choice; an optimised one is estimated only once the meta robot itself is out of
         reach.
         """
+        if branch.hopes:
+            branch.begin_phase(branch.hopes.pop(0))
+            return
         distance = float(np.linalg.norm(meta - branch.alpha))
         shortest = min(self.config.xi, distance)
         stride = shortest if self.config.step == "fixed" else min(max(2 * branch.stride, shortest), distance)
@@ -333,7 +357,7 @@ class Transfer:
 
     def move(self, branch: Branch, alpha: np.ndarray, stride: float, trained: bool) -> None:
         """Line 5: the robot evolves."""
-        branch.alpha, branch.stride, branch.looked = np.clip(alpha, 0.0, 1.0), stride, False
+        branch.alpha, branch.stride, branch.looked, branch.hopes = np.clip(alpha, 0.0, 1.0), stride, False, []
         branch.begin_phase()
         distance = float(np.linalg.norm(self.evolution_tree(branch).meta_alpha - branch.alpha))
         self.sampler.say("moved", branch, stride=stride, distance=distance, trained=trained)
@@ -350,6 +374,7 @@ class Transfer:
         Success is measured before the first update, after every one of the search and after every check_every-th of NPG.
         """
         searching = self.offsets is not None and branch.turn == "offset"
+        success = 0.0
         if searching or branch.updates % self.config.check_every == 0:
             hasty = self.offsets is not None and branch.next_alpha is not None
             floor = None if self.offsets is None or hasty else self.config.threshold  # at a target the better one is to be found
@@ -374,15 +399,14 @@ class Transfer:
             self.weights.improve(branch, player, alpha)
             return "training"
         first = branch.updates == 0
-        learned = self.offsets.improve(branch, player, alpha, branch.best_success >= self.config.threshold)
-        return "stalled" if first and not learned and self.can_halve(branch) else "training"
+        learned = self.offsets.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)
+        return "stalled" if first and not learned and self.nearer(branch) else "training"
 
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
 
-        After the search the weights have their turn, if the best succeeds often enough to learn from, and then a nearer robot is tried; at
-        the nearest, and at a target, weights and search go on in turns. A target where neither brought anything is left with the best, if
-        that would do on the way.
+        After the search the weights have their turn, if the best succeeds often enough to learn from, and then another robot is tried. At a
+        target weights and search go on in turns; where neither brought anything, it is left with the best, if that would do on the way.
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
@@ -393,13 +417,14 @@ class Transfer:
         self.return_to_best(branch)
         branch.idle = 0
         branch.turns += 1
-        if self.can_halve(branch) and (branch.turns >= 2 or branch.best_success < self.config.noisy_threshold):
+        on_the_way = branch.next_alpha is not None
+        if on_the_way and (branch.turns >= 2 or (self.nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
         if branch.turn == "offset":
             branch.turn = "weights"
         else:
             branch.turn, branch.deviation, branch.trials = "offset", None, None  # the weights have changed what an offset does
-        if branch.turns >= 2 and branch.next_alpha is None and branch.best_success >= self.config.threshold:
+        if branch.turns >= 2 and not on_the_way and branch.best_success >= self.config.threshold:
             self.sampler.say("kept", branch, success=branch.best_success)
             return "spent"
         return "training"
@@ -408,6 +433,10 @@ class Transfer:
         """Take the policy that was measured best in this phase, where one was kept."""
         if branch.best is not None:
             branch.policy = branch.best.copy()
+
+    def nearer(self, branch: Branch) -> bool:
+        """Whether the search has a nearer robot to train for."""
+        return bool(branch.hopes) or self.can_halve(branch)
 
     def can_halve(self, branch: Branch) -> bool:
         """Whether the search may train for a robot half as far."""

@@ -117,27 +117,33 @@ def _log_density(x: np.ndarray, centre: np.ndarray, deviation: np.ndarray) -> np
     return -0.5 * (((x - centre) / deviation) ** 2).sum(axis=1) - np.log(deviation).sum()
 
 
-def natural_step(trials: Trials, centre: np.ndarray, deviation: np.ndarray, prior: float) -> tuple[np.ndarray, np.ndarray]:
+def natural_step(
+    trials: Trials, centre: np.ndarray, deviation: np.ndarray, prior: float, measured: float = 0.0, count: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """Natural gradient of the logarithm of expected success, for a normal distribution with independent entries.
 
     With z = (offset - centre) / deviation, y the success less its mean and w the importance weights of the trials: per entry, in units of
     the deviation, sum(w y z) / (sum(w success) + prior) for the centre, and half of sum(w y (z^2 - 1)) / (sum(w success) + prior) for the
     logarithm of the deviation. Trials of earlier distributions are used again (importance mixing: Sun et al., "Efficient Natural Evolution
     Strategies", GECCO 2009); mirrored samples of one distribution sum to 0, so that without a prior the centre goes to the mean of those
-    that succeeded.
+    that succeeded. What was ``measured`` at the centre counts as ``count`` trials with z = 0: where the centre succeeds more often than
+    what is drawn around it, the step is short and the deviation narrows, also when nothing drawn succeeds.
 
     Args:
         trials: of one robot.
         centre, deviation: (d,) of the distribution.
         prior: successes at the centre that are counted besides those seen.
+        measured: success rate of the centre itself.
+        count: trials that it stands for.
 
     Returns:
         (d,) for the centre, (d,) for the logarithm of the deviation; zeros without any success.
     """
     weights = trials.weights(centre, deviation)
-    total = weights @ trials.success
+    total = weights @ trials.success + measured * count
     if total == 0:
         return np.zeros_like(centre), np.zeros_like(centre)
     z = (trials.offsets - centre) / deviation
-    above = weights * (trials.success - total / weights.sum())
-    return above @ z / (total + prior), 0.5 * above @ (z * z - 1.0) / (total + prior)
+    rate = total / (weights.sum() + count)
+    above = weights * (trials.success - rate)
+    return above @ z / (total + prior), 0.5 * (above @ (z * z - 1.0) - count * (measured - rate)) / (total + prior)
