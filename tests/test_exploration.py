@@ -60,6 +60,30 @@ def test_the_deviation_narrows_where_success_is_near_and_widens_where_it_is_far(
     assert step_of(z, near, 0.0)[1][0] < -0.2 and step_of(z, far, 0.0)[1][0] > 0.5
 
 
+def test_what_was_measured_at_the_centre_counts_as_trials_there():
+    """Written out as so many more trials with z = 0, which their own weights (1, of one distribution) leave as they are."""
+    rng = np.random.default_rng(3)
+    z, centre, deviation = mirrored(8, 3, rng), rng.standard_normal(3), rng.uniform(0.5, 2.0, 3)
+    success = (rng.random(16) < 0.3).astype(float)
+    drawn = centre + deviation * z
+    played = Trials.none(3).add(drawn, centre, deviation, success, 16)
+    added = Trials.none(3).add(np.vstack([drawn, np.tile(centre, (10, 1))]), centre, deviation, np.append(success, [1.0] * 4 + [0.0] * 6), 26)
+    for found, expected in zip(natural_step(played, centre, deviation, 1.0, 0.4, 10), natural_step(added, centre, deviation, 1.0), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_a_centre_that_succeeds_more_often_than_what_is_drawn_around_it_narrows_the_deviation():
+    """Also where nothing that was drawn succeeds; the centre then stays where it is."""
+    z, zero, one = mirrored(8, 3, np.random.default_rng(5)), np.zeros(3), np.ones(3)
+    mean, spread = natural_step(Trials.none(3).add(z, zero, one, np.zeros(16), 16), zero, one, 1.0, 0.25, 16)
+    np.testing.assert_allclose(mean, 0.0, atol=1e-15)
+    assert (spread < -0.1).all()
+    near = (np.abs(z[:, 0]) < 0.5).astype(float)
+    played = Trials.none(3).add(z, zero, one, near, 16)
+    often, seldom = (natural_step(played, zero, one, 1.0, rate, 16)[1] for rate in (0.9, 0.0))
+    assert (often < seldom).all()
+
+
 def search(reuse, seed, batches=8, width=0.9):
     """Rates of success per batch, and of the centre at the end, where a place two deviations away is to be found."""
     rng, goal = np.random.default_rng(seed), np.array([1.5, -1.0, 0.9, *np.zeros(4)])

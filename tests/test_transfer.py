@@ -993,6 +993,40 @@ def test_success_need_not_be_monotone_along_a_way(tmp_path, learner):
     assert error_at(transfer.arrived["left"], SOURCE.alpha) < TOLERANCE
 
 
+class Cliff(Toy):
+    """Robots up to nine tenths of the way want what no policy does; from there on the source's action succeeds for some of the seeds."""
+
+    def one(self, actor, alpha, seed):
+        ahead = 0.01 < float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha)) < 0.9
+        return super().one(actor, np.array([9.0 if ahead else 0.11, 0.0, 0.0]), seed)
+
+
+def test_the_search_trains_where_a_look_succeeded_sometimes(tmp_path):
+    """The end of the way is within reach although nothing before it is: not one episode is spent there."""
+    toy = Cliff()
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), toy, targets=TARGETS[:1])
+    transfer.meta_evolve()
+    assert toy.of(training=True)
+    for call in toy.of(training=True):
+        np.testing.assert_allclose(call["alphas"], np.tile(TARGETS[0].alpha, (len(call["seeds"]), 1)), atol=1e-12)
+    assert set(transfer.arrived) == {"left"} and not records(transfer, "budget")
+
+
+def test_a_phase_without_success_gives_way_to_the_next_hope_then_to_half_the_way_then_to_another_look(tmp_path):
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), Toy())
+    (branch,) = transfer.pending
+    branch.hopes, branch.looked = [0.5 * META], True
+    branch.begin_phase(META)
+    seen = []
+    while branch.next_alpha is not None:
+        seen.append(float(np.linalg.norm(branch.next_alpha) / np.linalg.norm(META)))
+        assert branch.looked
+        transfer.try_nearer(branch)
+    shortest = transfer.config.xi / np.linalg.norm(META)
+    assert seen[:3] == pytest.approx([1.0, 0.5, 0.25]) and shortest <= seen[-1] < 2 * shortest
+    assert not branch.looked, "the policy has changed since it looked"
+
+
 def test_a_search_needs_something_to_explore(tmp_path):
     with pytest.raises(ToolkitError, match="declare one in the task"):
         Transfer(config(learner="search"), SOURCE, TARGETS, *expert(), Toy(), {}, Run.create(tmp_path / "run", {}))
