@@ -67,8 +67,9 @@ def test_what_was_measured_at_the_centre_counts_as_trials_there():
     success = (rng.random(16) < 0.3).astype(float)
     drawn = centre + deviation * z
     played = Trials.none(3).add(drawn, centre, deviation, success, 16)
-    added = Trials.none(3).add(np.vstack([drawn, np.tile(centre, (10, 1))]), centre, deviation, np.append(success, [1.0] * 4 + [0.0] * 6), 26)
-    for found, expected in zip(natural_step(played, centre, deviation, 1.0, 0.4, 10), natural_step(added, centre, deviation, 1.0), strict=True):
+    all_drawn, all_ended = np.vstack([drawn, np.tile(centre, (10, 1))]), np.append(success, [1.0] * 4 + [0.0] * 6)
+    written = natural_step(Trials.none(3).add(all_drawn, centre, deviation, all_ended, 26), centre, deviation, 1.0)
+    for found, expected in zip(natural_step(played, centre, deviation, 1.0, 0.4, 10), written, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -148,7 +149,7 @@ def test_an_offset_is_what_the_policy_sees(tmp_path):
 
 
 @pytest.mark.parametrize("field, value", [("batch_size", 7), ("batch_size", 2), ("prior", -1.0), ("reuse", 15), ("deviation_rate", 1.5),
-                                          ("narrowest", 0.0), ("polish", 0.0), ("widest", 0.5)])  # fmt: skip
+                                          ("narrowest", 0.0), ("polish", 0.0), ("regain", 0.9), ("widest", 0.5)])  # fmt: skip
 def test_settings_are_checked(field, value):
     with pytest.raises(ToolkitError, match=rf"SearchConfig\.{field} is {value}"):
         SearchConfig(**{field: value})

@@ -54,6 +54,7 @@ class Branch:
         turn: whose turn it is in this phase: "offset" (the search) or "weights" (NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen.
+        width: share of the declared deviation with which the search begins its next phase.
         deviation: (n_obs,) of the search's offsets, in the unit of each entry; None before a phase's first.
         trials: of the search in this phase, on the robot that it trains for.
         best_success: the best that was measured in this phase on the robot it trains for.
@@ -76,6 +77,7 @@ class Branch:
     turn: Literal["offset", "weights"] = "offset"
     turns: int = 0
     idle: int = 0
+    width: float = 1.0
     deviation: np.ndarray | None = None
     trials: Trials | None = None
     best_success: float = 0.0
@@ -104,7 +106,7 @@ class Branch:
         return {key: getattr(self, key) for key in _PLAIN} | {"stride": None if math.isinf(self.stride) else self.stride}
 
 
-_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "best_success")
+_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_success")
 
 
 def stored_branch(

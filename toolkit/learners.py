@@ -34,8 +34,12 @@ class WeightLearner:
         self.config, self.sampler, self._engine, self._source, self._expert = config, sampler, engine, source, expert
         self._shown: Demonstrations | None = None
 
-    def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> None:
-        """One update, on robots drawn from the part of the segment from branch.alpha to ``alpha`` (D,) that the window leaves open."""
+    def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> float:
+        """One update, on robots drawn from the part of the segment from branch.alpha to ``alpha`` (D,) that the window leaves open.
+
+        Returns:
+            the share of its episodes that succeeded.
+        """
         cost, sampler = self.sampler.costs[branch.path], self.sampler
         size = self.config.npg.batch_size
         shares = 1.0 - branch.window * sampler.rng.uniform(size=size)
@@ -49,19 +53,22 @@ class WeightLearner:
         cost.train_iterations += 1
         branch.window *= self.config.shrink
         branch.updates += 1
+        success = float(np.mean([episode.success for episode in batch]))
         sampler.say(
-            "update", branch, learner="npg", train_success=float(np.mean([e.success for e in batch])), window=branch.window,
+            "update", branch, learner="npg", train_success=success, window=branch.window,
             mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
             kl=statistics["kl"], episodes_per_s=size / play_seconds, play_s=play_seconds,
             learn_s=statistics["seconds"],
         )  # fmt: skip
+        return success
 
-    def calm(self, branch: Branch) -> bool:
+    def calm(self, branch: Branch, factor: float | None = None) -> bool:
         """Less exploration, if there is any to spare: where the mean action holds, more noise than it bears teaches it to bear noise.
 
-        With ``rouse`` a success rule, as evolution strategies have for the length of their steps (Rechenberg 1973).
+        With ``rouse`` a success rule, as evolution strategies have for the length of their steps (Rechenberg 1973). ``factor``: of the
+        configuration if not given.
         """
-        return self._explore(branch, max(self.config.calm * branch.noise, self.config.least_noise))
+        return self._explore(branch, max((factor or self.config.calm) * branch.noise, self.config.least_noise))
 
     def rouse(self, branch: Branch) -> bool:
         """More exploration, never beyond the first: where the mean action fails there is to learn, and steps are as long as the noise."""
@@ -109,7 +116,7 @@ class OffsetLearner:
 
     def improve(self, branch: Branch, player: Player, alpha: np.ndarray, success: float, holds: bool = False) -> bool:
         """One update on the robot ``alpha`` (D,), where the policy's mean action was measured to have that ``success``; where it
-        ``holds`` already, a phase begins with deviations for polishing.
+        ``holds`` already, a phase begins with deviations for polishing, where it succeeds sometimes with what the last phase came to.
 
         Mirrored offsets of a pair play the same start, so that a pair's difference is the offset's. The first batch of a phase ends after
         its first episodes if none succeeds, unless the policy itself does.
@@ -120,7 +127,8 @@ class OffsetLearner:
         settings, sampler, cost = self.config.search, self.sampler, self.sampler.costs[branch.path]
         before = sampler.spent["play_s"]
         if branch.deviation is None:
-            branch.deviation = self.deviation * (settings.polish if holds else 1.0)
+            width = 1.0 if success == 0 else min(branch.width, settings.polish if holds else 1.0)
+            branch.deviation = self.deviation * width
         z = mirrored(settings.batch_size // 2, len(self._entries), sampler.rng)
         offsets = np.zeros((len(z), len(self.deviation)))
         offsets[:, self._entries] = z * branch.deviation[self._entries]
@@ -146,9 +154,10 @@ class OffsetLearner:
             )
             cost.train_iterations += 1
         branch.updates += 1
+        width = float((branch.deviation[self._entries] / self.deviation[self._entries]).mean())
+        branch.width = min(settings.regain * width, 1.0)
         play_seconds = sampler.spent["play_s"] - before
         sampler.say("update", branch, learner="search", train_success=float(ended.mean()), learned=learned,
-                    width=float((branch.deviation[self._entries] / self.deviation[self._entries]).mean()),
-                    mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
+                    width=width, mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
                     episodes_per_s=len(batch) / play_seconds, play_s=play_seconds)  # fmt: skip
         return learned

@@ -33,6 +33,9 @@ LOOKS = (1.0, 0.75, 0.5, 0.25, 0.125)
 """Shares of the way ahead at which a phase begins by looking, the farthest first: success is not monotone along a way, so a failure
 says nothing of the robots behind it."""
 
+NUMBED = 1 / 2
+"""Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
+
 Outcome = Literal["held", "spent", "training", "stalled"]
 
 
@@ -384,9 +387,9 @@ class Transfer:
                 not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough
             ):
                 return "held"
-            if not searching:
+            if self.offsets is None:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
-            if self.offsets is not None:
+            else:
                 outcome = self.keep_best(branch, success)
                 if outcome != "training":
                     return outcome
@@ -396,7 +399,9 @@ class Transfer:
             self.sampler.say("budget", branch, sim_epochs=cost.sim_epochs)
             return "spent"
         if self.offsets is None or branch.turn == "weights":
-            self.weights.improve(branch, player, alpha)
+            learned_from = self.weights.improve(branch, player, alpha)
+            if self.offsets is not None and learned_from < self.config.signal and not self.weights.calm(branch, NUMBED):
+                branch.idle = self.config.patience  # nothing to learn from, however little noise: the next measurement ends the turn
             return "training"
         first = branch.updates == 0
         learned = self.offsets.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)

@@ -39,6 +39,8 @@ class SearchConfig:
     0.47 in three dimensions)."""
     polish: float = 0.3
     """Deviation with which the search begins where the policy holds already and is to hold more often, of the one the task declares."""
+    regain: float = 1.5
+    """Factor on the deviation with which one phase ends, for the next one's beginning; never more than the task declares."""
     narrowest: float = 1 / 8
     """Least deviation, of the one the task declares."""
     widest: float = 2.0
@@ -53,6 +55,7 @@ class SearchConfig:
             ("deviation_rate", 0 <= self.deviation_rate <= 1, "a number in [0, 1]"),
             ("narrowest", 0 < self.narrowest <= 1, "a number in (0, 1]"),
             ("polish", 0 < self.polish <= 1, "a number in (0, 1]"),
+            ("regain", 1 <= self.regain < math.inf, "a number from 1 on"),
             ("widest", 1 <= self.widest < math.inf, "a number from 1 on"),
         ):
             if not valid:
