@@ -112,6 +112,12 @@ ACTION: dict[str, int] = {
 """The action record: entry -> size."""
 ACTION_SIZE = sum(ACTION.values())
 
+RESPONDING: dict[str, float] = {"grasp_translation": 0.05}
+"""Entries of the action whose response to what the policy meets a search may explore, and the standard deviation of it with which it
+begins, in the action's unit: on a gripper that closes slowly the hand has to wait for it."""
+RESPONDING_DEVIATION = np.concatenate([np.full(size, RESPONDING.get(name, 0.0)) for name, size in ACTION.items()])
+"""The same as one vector (n_act,), 0 where nothing is explored."""
+
 
 def observe(
     fingers: np.ndarray,

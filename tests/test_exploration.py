@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from toolkit.errors import ToolkitError
-from toolkit.learning.exploration import SearchConfig, Trials, mirrored, natural_step, shifted
+from toolkit.learning.exploration import Directions, Explored, SearchConfig, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.policy import GaussianPolicy
 
 
@@ -137,10 +137,15 @@ def policy():
     return made
 
 
+def offsets_of(size):
+    """Directions that offset every entry of ``size`` observations, and no response."""
+    return Directions(Explored(np.ones(size), np.zeros(1)), np.zeros((0, 5)))
+
+
 def test_an_offset_is_what_the_policy_sees(tmp_path):
     """And nothing but its normalisation: a file of it plays the same, and the policy itself is left as it was."""
     original, offset = policy(), np.array([0.05, -0.4])
-    moved, seen = shifted(original, offset), np.random.default_rng(1).standard_normal((20, 2))
+    moved, seen = offsets_of(2).moved(original, offset), np.random.default_rng(1).standard_normal((20, 2))
     np.testing.assert_allclose(moved.mean(seen), original.mean(seen - offset), rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(moved.parameters, original.parameters)
     np.testing.assert_array_equal(original.layers().shift, [0.3, -0.2])
@@ -148,8 +153,54 @@ def test_an_offset_is_what_the_policy_sees(tmp_path):
     np.testing.assert_array_equal(GaussianPolicy.load(tmp_path / "moved.safetensors").mean(seen), moved.mean(seen))
 
 
+def test_only_what_is_declared_is_moved():
+    """The second of two observations, the first and the last of three actions: d = 1 + 2 K, deviations in that order."""
+    explored = Explored(np.array([0.0, 0.5]), np.array([0.1, 0.0, 0.2]))
+    original = GaussianPolicy(["a", "b"], ["x", "y", "z"], np.random.default_rng(0), hidden=(4,))
+    seen = np.random.default_rng(1).standard_normal((200, 2))
+    directions = Directions(explored, leading_features(original, seen, 2))
+    np.testing.assert_array_equal(directions.deviation, [0.5, 0.1, 0.1, 0.2, 0.2])
+    moved = directions.moved(original, np.array([0.0, 1.0, 0.0, 0.0, 2.0]))
+    change = moved.mean(seen) - original.mean(seen)
+    np.testing.assert_allclose(np.sqrt((change**2).mean(axis=0)), [1.0, 0.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose((change[:, 0] * change[:, 2]).mean(), 0.0, atol=1e-9)
+    np.testing.assert_array_equal(directions.moved(original, np.array([0.3, 0, 0, 0, 0])).layers().shift, [0.0, 0.3])
+
+
+def test_steps_add_up():
+    """So that a search may count its steps from where its turn began."""
+    rng, original = np.random.default_rng(2), policy()
+    directions = Directions(Explored(np.ones(2), np.ones(1)), leading_features(original, rng.standard_normal((50, 2)), 3))
+    first, second = rng.standard_normal((2, len(directions.deviation)))
+    seen = rng.standard_normal((20, 2))
+    twice = directions.moved(directions.moved(original, first), second)
+    np.testing.assert_allclose(twice.mean(seen), directions.moved(original, first + second).mean(seen), rtol=1e-10, atol=1e-12)
+
+
+def test_leading_features_are_the_last_layers_fisher_directions():
+    """Against torch: the Fisher matrix of the mean's last layer for unit noise is the mean of the outer product of its gradient."""
+    made, seen = policy(), np.random.default_rng(3).standard_normal((300, 2))
+    parameters = torch.tensor(made.parameters, requires_grad=True)
+    rows = []
+    for row in torch.tensor(seen):
+        (gradient,) = torch.autograd.grad(made.torch_mean(row[None], parameters)[0, 0], parameters)
+        rows.append(gradient[-6:-1].numpy())  # W (1, 4) and b of the last layer; the standard deviation is the last
+    fisher = np.array(rows).T @ np.array(rows) / len(rows)
+    found = leading_features(made, seen, 5)
+    np.testing.assert_allclose(found @ fisher @ found.T, np.eye(5), atol=1e-8)
+    spread = np.linalg.norm(found, axis=1)
+    assert (np.diff(spread) > 0).all(), "the leading one needs the smallest weights for the same change of the action"
+
+
+@pytest.mark.parametrize("observation, action", [([0.0, 0.0], [1.0]), ([1.0, -1.0], [0.0]), ([1.0, 1.0], [-1.0])])
+def test_something_has_to_be_explored(observation, action):
+    with pytest.raises(ToolkitError, match="declare one in the task"):
+        Explored(np.array(observation), np.array(action))
+
+
 @pytest.mark.parametrize("field, value", [("batch_size", 7), ("batch_size", 2), ("prior", -1.0), ("reuse", 15), ("deviation_rate", 1.5),
-                                          ("narrowest", 0.0), ("polish", 0.0), ("regain", 0.9), ("widest", 0.5)])  # fmt: skip
+                                          ("narrowest", 0.0), ("polish", 0.0), ("regain", 0.9), ("features", 0),
+                                          ("widest", 0.5)])  # fmt: skip
 def test_settings_are_checked(field, value):
     with pytest.raises(ToolkitError, match=rf"SearchConfig\.{field} is {value}"):
         SearchConfig(**{field: value})

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
 from toolkit.export import ActionMap, export_onnx, load_onnx, onnx_max_abs_error
-from toolkit.learning.exploration import shifted
+from toolkit.learning.exploration import Directions, Explored, leading_features
 from toolkit.learning.policy import GaussianPolicy
 
 RECORD = {"finger_angles": 24, "grasp_position": 3, "grasp_rotation": 6, "object_position": 3, "opening": 2}
@@ -52,15 +52,23 @@ def test_onnx_agrees_with_numpy(exported):
     assert 0.05 < (np.abs(actions) == 1.0).mean() < 0.95, "the test should see both sides of the clip"
 
 
-def test_a_searched_offset_is_part_of_the_graph(tmp_path):
-    """Nothing besides the graph knows of it: the exported policy acts as the unmoved one does on what lies by the offset nearer."""
-    offset = np.random.default_rng(3).normal(0.0, 0.02, 38)
-    export_onnx(shifted(make_policy(), offset), tmp_path / "policy.onnx", make_map(), RECORD, METADATA)
-    observations = np.random.default_rng(1).standard_normal((50, 38))
-    assert onnx_max_abs_error(shifted(make_policy(), offset), tmp_path / "policy.onnx", observations, make_map()) <= 1e-5
+def test_what_was_searched_is_part_of_the_graph(tmp_path):
+    """Nothing besides the graph knows of it: the exported policy acts as the unmoved one does on what lies by the offset nearer, and
+    responds by so much more."""
+    rng, policy = np.random.default_rng(3), make_policy()
+    observations = rng.standard_normal((50, 38))
+    explored = Explored(np.ones(38), np.ones(len(policy.action_names)))
+    directions = Directions(explored, leading_features(policy, observations, 3))
+    step = rng.normal(0.0, 0.02, len(directions.deviation))
+    moved = directions.moved(policy, step)
+    export_onnx(moved, tmp_path / "policy.onnx", make_map(), RECORD, METADATA)
+    assert onnx_max_abs_error(moved, tmp_path / "policy.onnx", observations, make_map()) <= 1e-5
     graph, unmoved = load_onnx(tmp_path / "policy.onnx"), make_map()
+    responses = step[38:].reshape(-1, 3) @ directions.features
     for observation in observations:
-        np.testing.assert_allclose(graph.act(observation), unmoved(make_policy().mean(observation - offset)), atol=1e-4)
+        seen = observation - step[:38]
+        units = np.append(policy.hidden_layer(seen[None])[0], 1.0)
+        np.testing.assert_allclose(graph.act(observation), unmoved(policy.mean(seen) + responses @ units), atol=1e-4)
 
 
 def test_a_vector_acts_as_its_record_does(exported):

@@ -7,7 +7,7 @@ from toolkit.errors import ToolkitError
 from toolkit.expert import load_expert
 from toolkit.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
-from toolkit.learning.exploration import shifted
+from toolkit.learning.exploration import Directions, Explored
 from toolkit.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
 from toolkit.simulation.plant import merged_plant
 from toolkit.simulation.rollout import play
@@ -76,7 +76,8 @@ def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
 def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, policy):
     """A search plays one start with two policies; seen again after a kill, both are the episodes that they were."""
     offset = np.full(38, 0.01)
-    pair = [shifted(policy, offset), shifted(policy, -offset)]
+    directions = Directions(Explored(np.ones(38), np.zeros(1)), np.zeros((0, policy.hidden[-1] + 1)))
+    pair = [directions.moved(policy, offset), directions.moved(policy, -offset)]
     for witness in (Witness(tmp_path), Witness(tmp_path)):
         witness.saw("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
     (phase,) = load_phases(tmp_path).values()

@@ -18,7 +18,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.learning.episode import Episode
-from toolkit.learning.exploration import SearchConfig
+from toolkit.learning.exploration import Explored, SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs import Run
@@ -32,7 +32,7 @@ WEIGHTS = np.array([1.0, 1.0, -0.7])
 TOLERANCE = 0.15
 OBSERVATION = np.ones(1)
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
-DEVIATION = np.array([0.2])
+EXPLORED = Explored(np.array([0.2]), np.zeros(1))
 NPG = NpgConfig(step_size=0.1, min_log_std=-2.6, cg_iterations=4, value_epochs=2)
 
 
@@ -127,13 +127,14 @@ def config(**changes):
     return TransferConfig(**{"npg": NPG, "check_episodes": 12, "goal_episodes": 12, "xi": 0.08, "native": False} | changes)
 
 
-def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None, bends=None):
+def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None, bends=None,
+                explored=EXPLORED):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
     quiet = lambda *seen: None  # noqa: E731
     learner = expert() if settings.learner == "npg" else seeing_expert()
-    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, DEVIATION,
+    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, explored,
                         bends)  # fmt: skip
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
@@ -871,6 +872,19 @@ def test_the_weights_have_their_turn_where_the_search_brings_no_more(tmp_path):
     transfer.meta_evolve()
     turns = [r["learner"] for r in records(transfer, "update")]
     assert turns[0] == "search" and set(turns) == {"search", "npg"} and not records(transfer, "budget")
+    assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
+
+
+def test_responses_have_a_turn_between_offsets_and_weights(tmp_path):
+    """The same policy, but its action may respond: no offset moves it, and NPG is not needed."""
+    settings = config(learner="search", patience=2, search=SearchConfig(batch_size=8, features=1), path_budget=5_000)
+    transfer = transfer_of(tmp_path / "run", settings, Toy(), targets=TARGETS[:1], explored=Explored(np.array([0.2]), np.array([0.2])))
+    blind = expert()[0].parameters.copy()
+    blind[:16], blind[-2] = 0.0, wanted(SOURCE.alpha)
+    transfer.pending[0].policy.set_parameters(blind)
+    transfer.meta_evolve()
+    updates = records(transfer, "update")
+    assert {r["turn"] for r in updates} == {"offset", "response"} and not records(transfer, "budget")
     assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
 
 

@@ -16,6 +16,10 @@ from toolkit.learning.policy import (
     network_tensors,
 )
 
+Turn = Literal["offset", "response", "weights"]
+TURNS: tuple[Turn, ...] = ("offset", "response", "weights")
+"""What is learned in a phase, in this order and over again."""
+
 
 @dataclass
 class Cost:
@@ -51,12 +55,14 @@ class Branch:
         stage: "evolve" on the tree, "settle" on the native robot.
         looked: whether this policy has looked along the way from here, and not moved by training since.
         hopes: (D,) robots ahead that are still to be trained for, on which it succeeded sometimes when it looked; the farthest first.
-        turn: whose turn it is in this phase: "offset" (the search) or "weights" (NPG).
+        turn: what is learned in this phase: "offset" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen.
         width: share of the declared deviation with which the search begins its next phase.
-        deviation: (n_obs,) of the search's offsets, in the unit of each entry; None before a phase's first.
-        trials: of the search in this phase, on the robot that it trains for.
+        features: (K, H + 1) that the search's responses are to; None: it has offsets alone.
+        deviation: (d,) of the search's steps, each in its unit; None before a turn's first.
+        centre: (d,) steps that the policy was moved by in this turn.
+        trials: of the search in this turn, on the robot that it trains for.
         best_success: the best that was measured in this phase on the robot it trains for.
         best: the policy that had it.
     """
@@ -74,11 +80,13 @@ class Branch:
     stage: Literal["evolve", "settle"] = "evolve"
     looked: bool = False
     hopes: list[np.ndarray] = field(default_factory=list)
-    turn: Literal["offset", "weights"] = "offset"
+    turn: Turn = "offset"
     turns: int = 0
     idle: int = 0
     width: float = 1.0
+    features: np.ndarray | None = None
     deviation: np.ndarray | None = None
+    centre: np.ndarray | None = None
     trials: Trials | None = None
     best_success: float = 0.0
     best: GaussianPolicy | None = None
@@ -86,13 +94,18 @@ class Branch:
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
         """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
         self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
-        self.turn, self.turns, self.idle, self.best_success, self.best = "offset", 0, 0, 0.0, None
-        self.deviation = self.trials = None
+        self.turns, self.best_success, self.best = 0, 0.0, None
+        self.begin_turn(TURNS[0])
+
+    def begin_turn(self, turn: Turn) -> None:
+        """Learn something else on the same robot."""
+        self.turn, self.idle = turn, 0
+        self.features = self.deviation = self.centre = self.trials = None
 
     def tensors(self, prefix: str) -> dict[str, np.ndarray]:
         """Its arrays, for a checkpoint; keys begin with the prefix."""
         found = {f"{prefix}.alpha": self.alpha} | learner_tensors(prefix, self.policy, self.value)
-        for name in ("next_alpha", "deviation"):
+        for name in _ARRAYS:
             if getattr(self, name) is not None:
                 found[f"{prefix}.{name}"] = getattr(self, name)
         if self.hopes:
@@ -106,6 +119,7 @@ class Branch:
         return {key: getattr(self, key) for key in _PLAIN} | {"stride": None if math.isinf(self.stride) else self.stride}
 
 
+_ARRAYS = ("next_alpha", "features", "deviation", "centre")
 _PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_success")
 
 
@@ -130,8 +144,7 @@ def stored_branch(
         load_network(tensors, f"{prefix}.best", best)
     kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
     return Branch(
-        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, next_alpha=tensors.get(f"{prefix}.next_alpha"),
-        deviation=tensors.get(f"{prefix}.deviation"), best=best, hopes=list(tensors.get(f"{prefix}.hopes", ())),
+        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, best=best, hopes=list(tensors.get(f"{prefix}.hopes", ())),
         trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
-        **{key: state[key] for key in _PLAIN if key in state},
+        **{name: tensors.get(f"{prefix}.{name}") for name in _ARRAYS}, **{key: state[key] for key in _PLAIN if key in state},
     )  # fmt: skip

@@ -1,7 +1,7 @@
-"""The two ways in which a branch's policy gets better: its weights by NPG, what it sees by a search.
+"""The two ways in which a branch's policy gets better: its weights by NPG, a few of its parameters by a search.
 
     WeightLearner   the paper's: noise on the actions, robots from a window, natural policy gradient on all weights
-    OffsetLearner   an offset of a few observations, held for an episode, on the next robot itself
+    SearchLearner   a few offsets of what it sees, or responses to what it meets, held for an episode, on the next robot itself
 """
 
 import math
@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolkit.branch import Branch
+from toolkit.branch import TURNS, Branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal
-from toolkit.learning.exploration import Trials, mirrored, natural_step, shifted
+from toolkit.learning.exploration import Directions, Explored, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.npg import Demonstrations, npg_step
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.sampling import LOOK, Player, Sampler, mean_of
@@ -95,30 +95,32 @@ class WeightLearner:
         return None if self._shown is None else replace(self._shown, update=update)
 
 
-class OffsetLearner:
-    """Search of an offset of what the policy sees.
+class SearchLearner:
+    """Search of an offset of what the policy sees and, in its second turn, of how it responds to what it meets.
 
     Args:
         config: see TransferConfig.
         sampler: plays and counts.
-        deviation: (n_obs,) standard deviation of the offset of each observation when a phase begins, in its unit; 0: not explored.
+        explored: what is explored, and how far.
 
-    Raises:
-        ToolkitError: nothing is to be explored.
+    Attributes:
+        turns: in a phase, in this order: those that have something to explore, and the weights'.
     """
 
-    def __init__(self, config: TransferConfig, sampler: Sampler, deviation: np.ndarray) -> None:
-        if not (deviation > 0).any() or (deviation < 0).any():
-            raise ToolkitError("the search has no observation to explore, or a negative deviation; declare one in the task, or take "
-                               "learner 'npg'")  # fmt: skip
-        self.config, self.sampler, self.deviation = config, sampler, deviation
-        self._entries = np.flatnonzero(deviation)
+    def __init__(self, config: TransferConfig, sampler: Sampler, explored: Explored) -> None:
+        self.config, self.sampler, self.explored = config, sampler, explored
+        self.turns = TURNS if (explored.action > 0).any() else tuple(turn for turn in TURNS if turn != "response")
+
+    def directions(self, branch: Branch) -> Directions:
+        """Those of the branch's turn."""
+        none = np.zeros((0, branch.policy.hidden[-1] + 1))
+        return Directions(self.explored, none if branch.features is None else branch.features)
 
     def improve(self, branch: Branch, player: Player, alpha: np.ndarray, success: float, holds: bool = False) -> bool:
         """One update on the robot ``alpha`` (D,), where the policy's mean action was measured to have that ``success``; where it
         ``holds`` already, a phase begins with deviations for polishing, where it succeeds sometimes with what the last phase came to.
 
-        Mirrored offsets of a pair play the same start, so that a pair's difference is the offset's. The first batch of a phase ends after
+        Mirrored steps of a pair play the same start, so that a pair's difference is the step's. The first batch of a phase ends after
         its first episodes if none succeeds, unless the policy itself does.
 
         Returns:
@@ -126,38 +128,39 @@ class OffsetLearner:
         """
         settings, sampler, cost = self.config.search, self.sampler, self.sampler.costs[branch.path]
         before = sampler.spent["play_s"]
+        if branch.turn == "response" and branch.features is None:
+            met = np.concatenate([episode.observations for episode in sampler.watch(branch, player, alpha)])
+            branch.features = leading_features(branch.policy, met, settings.features)
+        directions = self.directions(branch)
+        declared = directions.deviation
         if branch.deviation is None:
             width = 1.0 if success == 0 else min(branch.width, settings.polish if holds else 1.0)
-            branch.deviation = self.deviation * width
-        z = mirrored(settings.batch_size // 2, len(self._entries), sampler.rng)
-        offsets = np.zeros((len(z), len(self.deviation)))
-        offsets[:, self._entries] = z * branch.deviation[self._entries]
-        seeds = np.repeat(sampler.training_seeds(len(z) // 2), 2).tolist()
-        policies = [shifted(branch.policy, offset) for offset in offsets]
+            branch.deviation = declared * width
+            branch.centre = np.zeros_like(declared)
+        deviation, centre = branch.deviation, branch.centre
+        steps = mirrored(settings.batch_size // 2, len(declared), sampler.rng) * deviation
+        seeds = np.repeat(sampler.training_seeds(len(steps) // 2), 2).tolist()
+        policies = [directions.moved(branch.policy, step) for step in steps]
         batch = []
         for part in (slice(0, LOOK), slice(LOOK, None)) if branch.updates == 0 else (slice(None),):
             if seeds[part] and (not batch or success > 0 or any(episode.success for episode in batch)):
                 batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])
         ended = np.array([episode.success for episode in batch], float)
-        centre, deviation = np.array(branch.policy.layers().shift[self._entries]), branch.deviation[self._entries]
-        seen = branch.trials or Trials.none(len(self._entries))
-        branch.trials = seen.add(centre + offsets[: len(batch), self._entries], centre, deviation, ended, settings.reuse)
+        seen = branch.trials or Trials.none(len(declared))
+        branch.trials = seen.add(centre + steps[: len(batch)], centre, deviation, ended, settings.reuse)
         learned = success > 0 or bool(branch.trials.success.any())
         if learned:
             mean, spread = natural_step(branch.trials, centre, deviation, settings.prior, success, settings.batch_size)
-            step = np.zeros_like(self.deviation)
-            step[self._entries] = deviation * mean
-            branch.policy = shifted(branch.policy, step)
-            declared = self.deviation[self._entries]
-            branch.deviation[self._entries] = np.clip(
-                deviation * np.exp(settings.deviation_rate * spread), settings.narrowest * declared, settings.widest * declared
-            )
+            branch.policy = directions.moved(branch.policy, deviation * mean)
+            branch.centre = centre + deviation * mean
+            spread = deviation * np.exp(settings.deviation_rate * spread)
+            branch.deviation = np.clip(spread, settings.narrowest * declared, settings.widest * declared)
             cost.train_iterations += 1
         branch.updates += 1
-        width = float((branch.deviation[self._entries] / self.deviation[self._entries]).mean())
+        width = float((branch.deviation / declared).mean())
         branch.width = min(settings.regain * width, 1.0)
         play_seconds = sampler.spent["play_s"] - before
-        sampler.say("update", branch, learner="search", train_success=float(ended.mean()), learned=learned,
+        sampler.say("update", branch, learner="search", turn=branch.turn, train_success=float(ended.mean()), learned=learned,
                     width=width, mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
                     episodes_per_s=len(batch) / play_seconds, play_s=play_seconds)  # fmt: skip
         return learned

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robots.robot import Robot
-from tasks.pick import EXPLORED_DEVIATION, PickTask
+from tasks.pick import EXPLORED_DEVIATION, RESPONDING_DEVIATION, PickTask
 from toolkit.branch import Branch
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
@@ -19,6 +19,7 @@ from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_t
 from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.jsonfiles import read_object
 from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import Explored
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
@@ -225,7 +226,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 EXPLORED_DEVIATION, self._bends())  # fmt: skip
+                                 Explored(EXPLORED_DEVIATION, RESPONDING_DEVIATION), self._bends())  # fmt: skip
         if resume:
             try:
                 self.transfer.restore()

@@ -123,6 +123,14 @@ class Sampler:
         self.say(event, branch, success=successes / played, checked=played, reach=reach, held=held, noise=branch.noise)
         return successes / played
 
+    def watch(self, branch: Branch, player: Player, alpha: np.ndarray) -> list[Episode]:
+        """A few episodes of the policy on the robot ``alpha`` (D,) that are counted as checks: to see which states it meets."""
+        batch = self.play(player, mean_of(branch.policy), [alpha] * LOOK, [CHECKING_SEEDS + i for i in range(LOOK)])
+        self.costs[branch.path].check_episodes += len(batch)
+        self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+        self.witness(branch, batch, False, [branch.policy] * len(batch))
+        return batch
+
     # ---- telling -----------------------------------------------------------------------------------------------
 
     def say(self, event: str, branch: Branch, **values: Any) -> None:

@@ -17,12 +17,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from toolkit.branch import Branch, Cost, stored_branch
+from toolkit.branch import TURNS, Branch, Cost, stored_branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import MetaStep, Terminal, next_meta_robot
 from toolkit.evolution.bend import corner
-from toolkit.learners import OffsetLearner, WeightLearner
+from toolkit.learners import SearchLearner, WeightLearner
 from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import Explored
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, load_network, network_tensors
 from toolkit.runs import Run, generator_from_state, generator_state
 from toolkit.sampling import Player, Sampler
@@ -51,7 +52,7 @@ class Transfer:
         native: target name -> makes the player of the unmodified robot (made when a path gets there).
         run: folder for metrics and checkpoints.
         report, witness: as for Sampler.
-        deviation: (n_obs,) as for OffsetLearner; only for the learner "search".
+        explored: what the learner "search" explores, and how far.
         bends: targets behind an edge -> indices of the evolution parameters that go first on it; the other edges are straight.
 
     Attributes:
@@ -72,7 +73,7 @@ class Transfer:
         run: Run,
         report: Callable[[dict[str, Any], Branch], None] = lambda record, branch: None,
         witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
-        deviation: np.ndarray | None = None,
+        explored: Explored | None = None,
         bends: Mapping[frozenset[str], np.ndarray] | None = None,
     ) -> None:
         self.config, self.engine, self.native, self.run = config, engine, native, run
@@ -80,9 +81,9 @@ class Transfer:
         self.goals = {target.name: target.alpha for target in targets}
         self.sampler = Sampler(run, config.seed, report, witness)
         self.weights = WeightLearner(config, self.sampler, engine, source, policy.copy())
-        self.offsets = None
+        self.search = None
         if config.learner == "search":
-            self.offsets = OffsetLearner(config, self.sampler, np.zeros(0) if deviation is None else deviation)
+            self.search = SearchLearner(config, self.sampler, explored or Explored(np.zeros(0), np.zeros(0)))
         if config.exploration is not None:
             policy = policy.copy()
             policy.set_log_std(np.full(len(policy.action_names), math.log(config.exploration)))
@@ -158,7 +159,7 @@ class Transfer:
         """
         name = branch.targets[0]
         hops = self.config.native and name in self.native
-        if (hops and self.offsets is not None) or self.train_to_goal(branch, self.engine) != "training":
+        if (hops and self.search is not None) or self.train_to_goal(branch, self.engine) != "training":
             branch.begin_phase()
             if hops:
                 branch.stage = "settle"
@@ -249,7 +250,7 @@ class Transfer:
                 self.move(branch, goal, distance, trained=False)
                 branch.stage = "settle"
                 return
-        tried = 0.0 if self.offsets is not None else 2 * branch.stride
+        tried = 0.0 if self.search is not None else 2 * branch.stride
         if end is not step.meta_alpha and self.leap(branch, step.meta_alpha):
             return
         for share in LOOKS:
@@ -278,7 +279,7 @@ class Transfer:
         held, success = self.look(branch, self.engine, robot)
         if held:
             self.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=False)
-        elif self.offsets is not None and success >= self.config.signal:
+        elif self.search is not None and success >= self.config.signal:
             branch.hopes.append(robot)
         return held
 
@@ -295,7 +296,7 @@ class Transfer:
     def asks_noise(self, branch: Branch, robot: np.ndarray) -> bool:
         """Whether the exploring policy has to succeed on the robot (D,) as well: NPG learns from such successes in what follows."""
         last = any(np.linalg.norm(robot - self.goals[name]) < 1e-9 for name in branch.targets)
-        return self.offsets is None and not (last and self.config.step == "adaptive")
+        return self.search is None and not (last and self.config.step == "adaptive")
 
     def choose_next(self, branch: Branch, meta: np.ndarray) -> None:
         """Pick the next robot on the way to ``meta`` (D,).
@@ -321,7 +322,7 @@ class Transfer:
                 way = self.steer(branch, meta)
             candidate = meta if last else np.clip(branch.alpha + stride * way, 0.0, 1.0)
             branch.begin_phase(candidate)
-            if self.config.step == "fixed" or stride <= shortest or self.offsets is not None:
+            if self.config.step == "fixed" or stride <= shortest or self.search is not None:
                 return
             wanted, enough, episodes = self.config.threshold, self.config.noisy_threshold, self.config.check_episodes
             mean = self.sampler.success(branch, self.engine, candidate, wanted, episodes)
@@ -348,7 +349,7 @@ class Transfer:
             return (meta - branch.alpha) / np.linalg.norm(meta - branch.alpha)
         robots = sample_robots(branch.alpha, self.config.jacobian_episodes, self.config.xi, self.sampler.rng)
         seeds = np.repeat(self.sampler.training_seeds(-(-len(robots) // 2)), 2)[: len(robots)].tolist()
-        policies = None if self.offsets is None else [branch.policy] * len(robots)
+        policies = None if self.search is None else [branch.policy] * len(robots)
         batch = self.sampler.train(branch, self.engine, list(robots), seeds, policies)
         returns = np.array([episode.discounted_return(self.config.npg.gamma) for episode in batch])
         slope = jacobian(robots, returns)
@@ -376,18 +377,18 @@ class Transfer:
 
         Success is measured before the first update, after every one of the search and after every check_every-th of NPG.
         """
-        searching = self.offsets is not None and branch.turn == "offset"
+        searching = self.search is not None and branch.turn != "weights"
         success = 0.0
         if searching or branch.updates % self.config.check_every == 0:
-            hasty = self.offsets is not None and branch.next_alpha is not None
-            floor = None if self.offsets is None or hasty else self.config.threshold  # at a target the better one is to be found
+            hasty = self.search is not None and branch.next_alpha is not None
+            floor = None if self.search is None or hasty else self.config.threshold  # at a target the better one is to be found
             success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty, floor=floor)
             enough = self.config.noisy_threshold
             if success >= wanted and (
                 not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough
             ):
                 return "held"
-            if self.offsets is None:
+            if self.search is None:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
             else:
                 outcome = self.keep_best(branch, success)
@@ -398,20 +399,20 @@ class Transfer:
             self.return_to_best(branch)
             self.sampler.say("budget", branch, sim_epochs=cost.sim_epochs)
             return "spent"
-        if self.offsets is None or branch.turn == "weights":
+        if self.search is None or branch.turn == "weights":
             learned_from = self.weights.improve(branch, player, alpha)
-            if self.offsets is not None and learned_from < self.config.signal and not self.weights.calm(branch, NUMBED):
+            if self.search is not None and learned_from < self.config.signal and not self.weights.calm(branch, NUMBED):
                 branch.idle = self.config.patience  # nothing to learn from, however little noise: the next measurement ends the turn
             return "training"
         first = branch.updates == 0
-        learned = self.offsets.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)
+        learned = self.search.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)
         return "stalled" if first and not learned and self.nearer(branch) else "training"
 
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
 
-        After the search the weights have their turn, if the best succeeds often enough to learn from, and then another robot is tried. At a
-        target weights and search go on in turns; where neither brought anything, it is left with the best, if that would do on the way.
+        Offsets come first, then responses and the weights, if the best succeeds often enough to learn from. On the way another robot is
+        tried after that; a target where nothing brought more is left with the best, if that would do on the way.
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
@@ -420,16 +421,13 @@ class Transfer:
         if branch.idle < self.config.patience:
             return "training"
         self.return_to_best(branch)
-        branch.idle = 0
         branch.turns += 1
-        on_the_way = branch.next_alpha is not None
-        if on_the_way and (branch.turns >= 2 or (self.nearer(branch) and branch.best_success < self.config.noisy_threshold)):
+        turns = self.search.turns if self.search is not None else TURNS
+        on_the_way, over = branch.next_alpha is not None, branch.turns >= len(turns)
+        if on_the_way and (over or (self.nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
-        if branch.turn == "offset":
-            branch.turn = "weights"
-        else:
-            branch.turn, branch.deviation, branch.trials = "offset", None, None  # the weights have changed what an offset does
-        if branch.turns >= 2 and not on_the_way and branch.best_success >= self.config.threshold:
+        branch.begin_turn(turns[branch.turns % len(turns)])
+        if over and not on_the_way and branch.best_success >= self.config.threshold:
             self.sampler.say("kept", branch, success=branch.best_success)
             return "spent"
         return "training"

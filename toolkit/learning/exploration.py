@@ -1,14 +1,20 @@
 """Exploration in a few of the policy's own parameters, held for an episode: offsets of what it believes it sees.
 
-White noise on the actions, twenty times a second, hardly moves a grasp: the policy's own feedback takes it back. An offset
-of a few entries of the observation, the same for a whole episode, moves it by just that much, and is a parameter of the policy
-already: the shift of its normalisation. So the policy plays as it is, without noise on its actions, once per offset drawn from a
-normal distribution, and the distribution follows the offsets that succeed.
+White noise on the actions, twenty times a second, hardly moves a grasp: the policy's own feedback takes it back. Two things do,
+when they are the same for a whole episode, and both are parameters of the policy already:
+
+    offsets     of a few entries of the observation, the shift of its normalisation: where the object is believed to be
+    responses   of a few actions to the leading features of the states it meets, its last layer: what it does while its fingers close
+
+So the policy plays as it is, without noise on its actions, once per step drawn from a normal distribution in these directions, and the
+distribution follows the steps that succeed.
 
 Sources: policy gradients in parameter space and pairs of mirrored samples are Sehnke et al., "Parameter-exploring Policy
 Gradients", Neural Networks 23, 2010; the natural gradient of a search distribution, also of its deviations, is Wierstra et
 al., "Natural Evolution Strategies", JMLR 15, 2014 (its separable form: Schaul, Glasmachers and Schmidhuber, "High Dimensions
-and Heavy Tails for Natural Evolution Strategies", GECCO 2011).
+and Heavy Tails for Natural Evolution Strategies", GECCO 2011). Noise that is a linear function of the last layer's features,
+held for a while, is Raffin, Kober and Stulp, "Smooth Exploration for Robotic Reinforcement Learning", CoRL 2021; here it is drawn
+along the leading eigenvectors of the features' second moments, which are those of the last layer's Fisher matrix.
 """
 
 import math
@@ -32,6 +38,8 @@ class SearchConfig:
     """Episodes of one update, in mirrored pairs."""
     prior: float = 1.0
     """Successes that count for the offset as it is: a single one moves it half of the way."""
+    features: int = 4
+    """Leading features that the actions respond to in the search's second turn."""
     reuse: int = 144
     """Trials on one robot, the last ones, that an update learns from, earlier batches by their importance."""
     deviation_rate: float = 0.5
@@ -51,6 +59,7 @@ class SearchConfig:
             raise ToolkitError(f"SearchConfig.batch_size is {self.batch_size}; give an even number from 4 on: episodes come in pairs")
         for name, valid, mend in (
             ("prior", self.prior >= 0, "0 or more"),
+            ("features", self.features >= 1, "1 or more"),
             ("reuse", self.reuse >= self.batch_size, f"at least a batch, {self.batch_size}"),
             ("deviation_rate", 0 <= self.deviation_rate <= 1, "a number in [0, 1]"),
             ("narrowest", 0 < self.narrowest <= 1, "a number in (0, 1]"),
@@ -68,20 +77,88 @@ def mirrored(pairs: int, dimensions: int, rng: np.random.Generator) -> np.ndarra
     return np.stack([half, -half], axis=1).reshape(2 * pairs, dimensions)
 
 
-def shifted(policy: GaussianPolicy, offset: np.ndarray) -> GaussianPolicy:
-    """A copy of the policy that sees every observation less ``offset`` (n_obs,), in the unit of each entry."""
-    twin = policy.copy()
-    layers = twin.layers()
-    twin.set_normalisation(layers.shift + offset, np.array(layers.scale))
-    return twin
+@dataclass(frozen=True)
+class Explored:
+    """What a task lets a search explore, as standard deviations with which it begins; 0: nothing.
+
+    Attributes:
+        observation: (n_obs,) of the offset of each entry, in its unit.
+        action: (n_act,) of the response of each action to a feature of root mean square 1, in its unit.
+
+    Raises:
+        ToolkitError: nothing is to be explored, or a deviation is negative.
+    """
+
+    observation: np.ndarray
+    action: np.ndarray
+
+    def __post_init__(self) -> None:
+        both = np.concatenate([self.observation, self.action])
+        if not (self.observation > 0).any() or (both < 0).any():
+            raise ToolkitError("the search has no observation to explore, or a negative deviation; declare one in the task, or take "
+                               "learner 'npg'")  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions in which a policy is moved: d = offsets of o entries, then responses of m actions to K features, action by action.
+
+    Attributes:
+        explored: how far.
+        features: (K, H + 1) weights of the last hidden layer's H units, and a bias, that make a feature; K = 0: offsets alone.
+    """
+
+    explored: Explored
+    features: np.ndarray
+
+    @property
+    def entries(self) -> np.ndarray:
+        """(o,) indices of the observations that are offset."""
+        return np.flatnonzero(self.explored.observation)
+
+    @property
+    def outputs(self) -> np.ndarray:
+        """(m,) indices of the actions that respond."""
+        return np.flatnonzero(self.explored.action)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(d,) standard deviations as declared."""
+        responses = np.repeat(self.explored.action[self.outputs], len(self.features))
+        return np.concatenate([self.explored.observation[self.entries], responses])
+
+    def moved(self, policy: GaussianPolicy, step: np.ndarray) -> GaussianPolicy:
+        """A copy of the policy, moved by ``step`` (d,): it sees every entry less its offset, and its actions respond by so much more."""
+        twin, layers, n = policy.copy(), policy.layers(), len(self.entries)
+        shift, (W, b) = layers.shift.copy(), (array.copy() for array in layers.weights[-1])
+        shift[self.entries] += step[:n]
+        response = step[n:].reshape(len(self.outputs), len(self.features)) @ self.features
+        W[self.outputs] += response[:, :-1]
+        b[self.outputs] += response[:, -1]
+        twin.set_normalisation(shift, layers.scale.copy())
+        twin.set_last_layer(W, b)
+        return twin
+
+
+def leading_features(policy: GaussianPolicy, observations: np.ndarray, count: int) -> np.ndarray:
+    """(count, H + 1) features, each of root mean square 1 over the observations (N, n_obs), that are uncorrelated there (about 0).
+
+    The eigenvectors of the second moments of the last hidden layer and a constant 1, the greatest first, by the root of their eigenvalue:
+    a normal step in them changes the action by as much in every direction, and most where the states that the policy meets differ most.
+    """
+    hidden = policy.hidden_layer(observations)
+    units = np.column_stack([hidden, np.ones(len(hidden))])
+    moments, vectors = np.linalg.eigh(units.T @ units / len(units))
+    leading = slice(None, -count - 1, -1)
+    return (vectors[:, leading] / np.sqrt(moments[leading])).T
 
 
 @dataclass
 class Trials:
-    """Offsets that were played on one robot: where each was drawn, and how it ended. M trials, d explored entries.
+    """Steps that were played on one robot: where each was drawn, and how it ended. M trials, d directions.
 
     Attributes:
-        offsets: (M, d) values of the explored shifts themselves, each in its entry's unit.
+        offsets: (M, d) from where the turn began, each in its direction's unit.
         centres, deviations: (M, d) of the distribution that each was drawn from.
         success: (M,) 0 or 1.
     """
@@ -125,7 +202,7 @@ def natural_step(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Natural gradient of the logarithm of expected success, for a normal distribution with independent entries.
 
-    With z = (offset - centre) / deviation, y the success less its mean and w the importance weights of the trials: per entry, in units of
+    With z = (step - centre) / deviation, y the success less its mean and w the importance weights of the trials: per entry, in units of
     the deviation, sum(w y z) / (sum(w success) + prior) for the centre, and half of sum(w y (z^2 - 1)) / (sum(w success) + prior) for the
     logarithm of the deviation. Trials of earlier distributions are used again (importance mixing: Sun et al., "Efficient Natural Evolution
     Strategies", GECCO 2009); mirrored samples of one distribution sum to 0, so that without a prior the centre goes to the mean of those

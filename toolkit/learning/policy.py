@@ -116,6 +116,22 @@ class _Network:
         """The network as plain arrays, for a compiled rollout."""
         return Layers(self._weights, self._shift, self._scale, self._log_std)
 
+    def set_last_layer(self, W: np.ndarray, b: np.ndarray) -> None:
+        """Overwrite the last layer's (n_out, n_in) W and (n_out,) b.
+
+        Raises:
+            ToolkitError: wrong shape, or a number that is not finite.
+        """
+        for target, value, name in zip(self._weights[-1], (W, b), ("last W", "last b"), strict=True):
+            self._overwrite(target, value, name)
+
+    def hidden_layer(self, observations: np.ndarray) -> np.ndarray:
+        """The last hidden layer's units: (N, n_obs) -> (N, H), each within +-1."""
+        x = np.clip((observations - self._shift) / self._scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)
+        for W, b in self._weights[:-1]:
+            x = np.tanh(x @ W.T + b)
+        return x
+
     def _overwrite(self, target: np.ndarray, value: np.ndarray, name: str) -> None:
         value = np.asarray(value, dtype=np.float64)
         if value.shape != target.shape:
@@ -128,16 +144,14 @@ class _Network:
     # -- forward, twice: numpy to act, torch to train --------------------------------------------------------
 
     def _forward(self, observations: np.ndarray) -> np.ndarray:
+        if observations.ndim > 1:
+            W, b = self._weights[-1]
+            return self.hidden_layer(observations) @ W.T + b
         x = observations - self._shift
         x /= self._scale
         np.maximum(x, self._low, out=x)
         np.minimum(x, self._high, out=x)
-        if x.ndim == 1:
-            return self._forward_one(x)
-        *hidden, (W, b) = self._weights
-        for W_hidden, b_hidden in hidden:
-            x = np.tanh(x @ W_hidden.T + b_hidden)
-        return x @ W.T + b
+        return self._forward_one(x)
 
     def _forward_one(self, x: np.ndarray) -> np.ndarray:
         # The rollout's inner loop: `dot` and in-place sums halve the time of `@` and `+`.
