@@ -49,7 +49,8 @@ class Entry:
 
 CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
 HANDS = Entry(expert=f"adroit-{TASK}-wide-recordings", exploration=0.15, episodes=60, learner="npg")
-FOUND = replace(HANDS, exploration=None, learner="search", targets=TARGETS, episodes=200)
+FOUND = replace(HANDS, exploration=None, learner="search", targets=TARGETS, episodes=200, budget=3_000)
+FOUND_CAN = replace(FOUND, task=CAN, expert=f"adroit-{CAN}-wide-recordings", targets=JAWS)
 ALONE = replace(HANDS, kind="independent")
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
 COARSE = 0.3
@@ -86,6 +87,14 @@ SUITES: dict[str, dict[str, Entry]] = {
         **{f"found-jaws-{seed}": replace(FOUND, seed=seed, targets=JAWS) for seed in range(3)},
         **{f"found-jaws-independent-{seed}": replace(FOUND, seed=seed, targets=JAWS, kind="independent") for seed in range(3)},
         "found-direct-0": replace(FOUND, kind="direct", budget=1_000),
+        "found-l2-0": replace(FOUND, metric="l2"),
+        "found-median-0": replace(FOUND, kind="geometric-median"),
+        "found-optimised-0": replace(FOUND, kind="independent", path="optimised"),
+        "found-can-0": FOUND_CAN,
+        "found-can-independent-0": replace(FOUND_CAN, kind="independent"),
+        # How the cost grows with the number of arms: those that the others leave out.
+        **{f"found-grown-{count}": replace(FOUND, targets=SIX[:count]) for count in (4, 5, 6)},
+        **{f"found-{name}-0": replace(FOUND, kind="independent", targets=(name,)) for name in SIX[3:]},
         # Twice as many targets.
         "six-tree-0": Entry(targets=SIX),
         "six-independent-0": Entry(targets=SIX, kind="independent"),
@@ -102,6 +111,7 @@ SUITES: dict[str, dict[str, Entry]] = {
         "wide-fixed-independent-0": Entry(task=WIDE, step="fixed", kind="independent", xi=COARSE, budget=1_500),
         "paper-tree-0": Entry(step="fixed"),
         "paper-independent-0": Entry(step="fixed", kind="independent"),
+        "paper-hands-kinova3-0": Entry(step="fixed", kind="independent", targets=("kinova3",), expert=HANDS.expert, episodes=200),
     }
 }
 """Suite -> run -> what it plays; the short ones first."""
