@@ -57,12 +57,13 @@ class Branch:
         hopes: (D,) robots ahead that are still to be trained for, on which it succeeded sometimes when it looked; the farthest first.
         turn: what is learned in this phase: "offset" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
-        idle: measurements of this turn since a better success was seen.
-        width: share of the declared deviation with which the search begins its next phase.
+        idle: measurements of this turn since a better success was seen, of the policy or of what was drawn around it.
+        width: share of the declared deviation with which the search begins its next turn.
         features: (K, H + 1) that the search's responses are to; None: it has offsets alone.
         deviation: (d,) of the search's steps, each in its unit; None before a turn's first.
         centre: (d,) steps that the policy was moved by in this turn.
         trials: of the search in this turn, on the robot that it trains for.
+        best_drawn: the best success of a batch of the search in this turn.
         best_success: the best that was measured in this phase on the robot it trains for.
         best: the policy that had it.
     """
@@ -88,6 +89,7 @@ class Branch:
     deviation: np.ndarray | None = None
     centre: np.ndarray | None = None
     trials: Trials | None = None
+    best_drawn: float = 0.0
     best_success: float = 0.0
     best: GaussianPolicy | None = None
 
@@ -99,7 +101,7 @@ class Branch:
 
     def begin_turn(self, turn: Turn) -> None:
         """Learn something else on the same robot."""
-        self.turn, self.idle = turn, 0
+        self.turn, self.idle, self.best_drawn = turn, 0, 0.0
         self.features = self.deviation = self.centre = self.trials = None
 
     def tensors(self, prefix: str) -> dict[str, np.ndarray]:
@@ -120,7 +122,7 @@ class Branch:
 
 
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
-_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_success")
+_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_drawn", "best_success")
 
 
 def stored_branch(

@@ -158,7 +158,9 @@ class SearchLearner:
             cost.train_iterations += 1
         branch.updates += 1
         width = float((branch.deviation / declared).mean())
-        branch.width = min(settings.regain * width, 1.0)
+        branch.width = min(width, 1.0)
+        if ended.mean() > branch.best_drawn:
+            branch.best_drawn, branch.idle = float(ended.mean()), 0
         play_seconds = sampler.spent["play_s"] - before
         sampler.say("update", branch, learner="search", turn=branch.turn, train_success=float(ended.mean()), learned=learned,
                     width=width, mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),

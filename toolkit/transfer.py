@@ -362,6 +362,7 @@ class Transfer:
     def move(self, branch: Branch, alpha: np.ndarray, stride: float, trained: bool) -> None:
         """Line 5: the robot evolves."""
         branch.alpha, branch.stride, branch.looked, branch.hopes = np.clip(alpha, 0.0, 1.0), stride, False, []
+        branch.width = min(self.config.search.regain * branch.width, 1.0)
         branch.begin_phase()
         distance = float(np.linalg.norm(self.evolution_tree(branch).meta_alpha - branch.alpha))
         self.sampler.say("moved", branch, stride=stride, distance=distance, trained=trained)

@@ -48,7 +48,7 @@ class SearchConfig:
     polish: float = 0.3
     """Deviation with which the search begins where the policy holds already and is to hold more often, of the one the task declares."""
     regain: float = 1.5
-    """Factor on the deviation with which one phase ends, for the next one's beginning; never more than the task declares."""
+    """Factor on the deviation to which a phase came, once its robot is reached; never more than the task declares."""
     narrowest: float = 1 / 8
     """Least deviation, of the one the task declares."""
     widest: float = 2.0
