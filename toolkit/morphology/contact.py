@@ -22,6 +22,8 @@ SLIDE = 20.0
 """Radians that a metre of slide counts for."""
 BLUR = 1e-3
 """Difference of gaps [m] within which two shapes touch together."""
+BESIDE = 4.0
+"""Distance [m] for each metre of the way back to the box that a shape beside it has: what passes above is not in contact."""
 FAR = 1.0
 """Gap [m] of a finger that has nothing to touch with."""
 
@@ -77,6 +79,48 @@ def _extent(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, di
 
 
 @numba.njit(cache=True, nogil=True)
+def _reach(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, push: np.ndarray, off: np.ndarray, half: np.ndarray) -> float:
+    """How far [m] a geom reaches from its centre along ``push`` where it is in front of the box, or next to that where it is beside it.
+
+    A slanted link that leans over the box is no nearer to it. What counts are the geom's edges, cut to the box's width and height.
+
+    Args:
+        turn, frame, size, box: as for ``_extent``.  push: (3,), along y.
+        off: (3,) [m] its centre from the box's.  half: (3,) half extents [m] of the box.
+    """
+    axes = turn @ frame
+    corners = np.empty((8 if box else 2, 3))
+    for n in range(len(corners)):
+        for i in range(3):
+            if box:
+                corners[n, i] = off[i]
+                for a in range(3):
+                    corners[n, i] += (2.0 * (n >> a & 1) - 1.0) * size[a] * axes[i, a]
+            else:
+                corners[n, i] = off[i] + (2.0 * n - 1.0) * size[1] * axes[i, 2]
+    low, high = np.empty(3), np.empty(3)
+    for i in (0, 2):
+        low[i], high[i] = min(-half[i], corners[:, i].max()), max(half[i], corners[:, i].min())
+    centre, best = off @ push, -FAR
+    for n in range(len(corners)):
+        for a in range(3 if box else 1):
+            if n >> a & 1 == 0:
+                first, way = corners[n], corners[n | 1 << a] - corners[n]
+                begin, end = 0.0, 1.0
+                for i in (0, 2):
+                    if abs(way[i]) > 1e-12:
+                        one, two = (low[i] - first[i]) / way[i], (high[i] - first[i]) / way[i]
+                        begin, end = max(begin, min(one, two)), min(end, max(one, two))
+                    elif first[i] > high[i] + 1e-12 or first[i] < low[i] - 1e-12:
+                        end = -1.0
+                if begin <= end + 1e-9:
+                    best = max(best, (first + begin * way) @ push, (first + end * way) @ push)
+    if best == -FAR:  # it is in front of the box with the middle of a face only
+        best = centre
+    return best - centre + (0.0 if box else size[0])
+
+
+@numba.njit(cache=True, nogil=True)
 def gap_of(
     turns: np.ndarray, shifts: np.ndarray, mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray,
     sizes: np.ndarray, boxes: np.ndarray, active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray,
@@ -84,7 +128,7 @@ def gap_of(
     """Distance [m] of a finger from its face of the box and where it is nearest (3,); each shape's share (n,) in both, and its place.
 
     Nearly equal shapes share in proportion to exp(-gap / BLUR), so that distance and place move evenly from one to the next. Beside
-    the box, the way back to it counts as distance as well.
+    the box, the way back to it counts as distance as well, four times.
 
     Args:
         turns, shifts: from ``place``.
@@ -99,13 +143,14 @@ def gap_of(
             k = link[s]
             centre = turns[k] @ centres[s] + shifts[k]
             off = centre - origin
-            reach = _extent(turns[k], frames[s], sizes[s], boxes[s], push)
+            reach = _reach(turns[k], frames[s], sizes[s], boxes[s], push, off, half)
             gap = -(off @ push) - half[1] - reach
             for axis in (0, 2):
                 direction = np.zeros(3)
                 direction[axis] = 1.0
-                gap += max(0.0, abs(off[axis]) - half[axis] - _extent(turns[k], frames[s], sizes[s], boxes[s], direction))
+                gap += BESIDE * max(0.0, abs(off[axis]) - half[axis] - _extent(turns[k], frames[s], sizes[s], boxes[s], direction))
             gaps[n], places[n] = gap, centre + reach * push
+            places[n, 2] = min(max(places[n, 2], origin[2] - half[2]), origin[2] + half[2])
     least, distance, where = gaps.min() if len(mine) else FAR, FAR, np.zeros(3)
     if least < FAR:
         total = 0.0
