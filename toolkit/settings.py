@@ -63,7 +63,8 @@ class TransferConfig:
     from which the weights have their turn on a robot before a nearer one is tried."""
     signal: float = 1 / 8
     """NPG: success rate under the noise of training from which there is enough to learn from; adaptive: where training begins. The
-    window's other robots are nearer, and succeed more often."""
+    window's other robots are nearer, and succeed more often. Search: measured success above which a robot is trained for that was only
+    looked at."""
     calm: float = 0.8
     """NPG, adaptive: factor on the noise where the mean action holds and the exploring policy does not; 1: the noise is left to
     training."""

@@ -279,7 +279,7 @@ class Transfer:
         held, success = self.look(branch, self.engine, robot)
         if held:
             self.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=False)
-        elif self.search is not None and success >= self.config.signal:
+        elif self.search is not None and success > self.config.signal:
             branch.hopes.append(robot)
         return held
 
