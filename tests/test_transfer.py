@@ -878,13 +878,18 @@ def test_the_weights_have_their_turn_where_the_search_brings_no_more(tmp_path):
 def test_responses_have_a_turn_between_offsets_and_weights(tmp_path):
     """The same policy, but its action may respond: no offset moves it, and NPG is not needed."""
     settings = config(learner="search", patience=2, search=SearchConfig(batch_size=8, features=1), path_budget=5_000)
-    transfer = transfer_of(tmp_path / "run", settings, Toy(), targets=TARGETS[:1], explored=Explored(np.array([0.2]), np.array([0.2])))
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", settings, toy, targets=TARGETS[:1], explored=Explored(np.array([0.2]), np.array([0.2])))
     blind = expert()[0].parameters.copy()
     blind[:16], blind[-2] = 0.0, wanted(SOURCE.alpha)
     transfer.pending[0].policy.set_parameters(blind)
     transfer.meta_evolve()
     updates = records(transfer, "update")
     assert {r["turn"] for r in updates} == {"offset", "response"} and not records(transfer, "budget")
+    (cost,) = transfer.costs.values()
+    assert cost.check_episodes == sum(len(call["seeds"]) for call in toy.of(training=False))
+    watched = cost.check_episodes - sum(r["checked"] for r in records(transfer) if r["event"] in ("check", "look", "explore"))
+    assert watched > 0 and watched % 8 == 0, "the states that responses are to are seen in checks"
     assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
 
 
