@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import threading
 import time
 import types
 from types import SimpleNamespace
@@ -206,3 +207,54 @@ class FakeKortex:
 @pytest.fixture
 def gen3(monkeypatch):
     return FakeKortex(monkeypatch)
+
+
+class FakeRos:
+    """rclpy and the messages, as far as they are used; a publisher of joint states at 100 Hz is a thread's own business."""
+
+    def __init__(self, monkeypatch):
+        self.angles = np.zeros(7)
+        self.published, self.topics, self.heard, self.alive, self.destroyed, self.spinning = [], [], {}, False, False, threading.Event()
+        fake = self
+
+        class Node:
+            def create_publisher(self, kind, topic, depth):
+                fake.topics.append(topic)
+                return SimpleNamespace(publish=fake.published.append)
+
+            def create_subscription(self, kind, topic, callback, depth):
+                fake.heard[topic] = callback
+
+            def destroy_node(self):
+                fake.destroyed = True
+
+        def spin_once(node, timeout_sec):
+            fake.spinning.set()
+            if "/joint_states" in fake.heard:
+                seconds = 10**9 + time.monotonic()
+                stamp = SimpleNamespace(sec=int(seconds), nanosec=int(1e9 * (seconds % 1)))
+                names = [f"joint_{i}" for i in range(7, 0, -1)]
+                fake.heard["/joint_states"](SimpleNamespace(
+                    header=SimpleNamespace(stamp=stamp), name=names, position=fake.angles[::-1].tolist(), velocity=[0.0] * 7,
+                    effort=[1.0] * 7,
+                ))  # fmt: skip
+            time.sleep(0.01)
+
+        def init():
+            fake.alive = True
+
+        modules = {
+            "rclpy": {"ok": lambda: fake.alive, "init": init, "create_node": lambda name: Node(), "spin_once": spin_once},
+            "builtin_interfaces": {}, "builtin_interfaces.msg": {"Duration": lambda sec, nanosec: sec + 1e-9 * nanosec},
+            "sensor_msgs": {}, "sensor_msgs.msg": {"JointState": object}, "trajectory_msgs": {},
+            "trajectory_msgs.msg": {"JointTrajectory": SimpleNamespace, "JointTrajectoryPoint": SimpleNamespace},
+        }  # fmt: skip
+        for name, found in modules.items():
+            module = types.ModuleType(name)
+            module.__dict__.update(found)
+            monkeypatch.setitem(sys.modules, name, module)
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    return FakeRos(monkeypatch)

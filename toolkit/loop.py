@@ -4,7 +4,9 @@ Everything here ends in ``Manifest.simulation``. Numbers are asked of the object
 space function by calling them, of the task's count by showing it a few steps, of the compiled model by its arrays.
 """
 
+import tomllib
 from importlib import metadata
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -59,11 +61,11 @@ PROGRESS = "2 * (command - preshape) / (1 - preshape) - 1"
 
 
 def licence() -> str:
-    """SPDX expression under which the package, and with it a bundle, is given; "unknown" where it is not installed."""
-    try:
-        about = metadata.metadata("meta-evolve")
-    except metadata.PackageNotFoundError:
-        return "unknown"
+    """SPDX expression under which the package, and with it a bundle, is given: as a checkout or else its installation says."""
+    project = Path(__file__).parent.parent / "pyproject.toml"
+    if project.is_file():
+        return str(tomllib.loads(project.read_text(encoding="utf-8"))["project"]["license"])
+    about = metadata.metadata("meta-evolve")
     return about.get("License-Expression") or about.get("License") or "unknown"
 
 

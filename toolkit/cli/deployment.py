@@ -93,6 +93,8 @@ def deploy(
                            "from the command line add --dry-run")  # fmt: skip
     if dry_run and (log is not None or (driver != "sim" and connect is not None)):
         raise ToolkitError("a dry run writes no log, and connects to a twin only with --driver sim; leave out --log or --connect")
+    if ticks < 1:
+        raise ToolkitError(f"ticks is {ticks}; give at least one")
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
     from toolkit.bundle import load_bundle

@@ -34,14 +34,12 @@ def dry(bundle: "Bundle", driver: str, arm: "Listener", close: Callable[[], None
         driver: its name.
         arm, close: of ``listener``.
         form: of the commands.
-        ticks: how many.
+        ticks: how many, at least one.
         json: print one JSON object.
     """
     from toolkit.deploy.dry import dry_run, tally
     from toolkit.deploy.runtime import Runtime
 
-    if ticks < 1:
-        raise ToolkitError(f"ticks is {ticks}; give at least one")
     seen: list[Seen] = []
     try:
         info = arm.listen()
