@@ -326,6 +326,17 @@ def test_kortex_never_asks_for_more_than_the_maker_allows(gen3, kinova):
     np.testing.assert_allclose(gen3.speeds[0][1], [1.396] * 4 + [1.2217] * 3, atol=1e-9)
 
 
+def test_kortex_does_not_falter_when_a_command_is_a_little_late(gen3, kinova):
+    """After the last waypoint the speed is kept for one period, then only the lag is made up."""
+    kinova.read()
+    rows = np.repeat(ANGLES[None], 2, axis=0)
+    command = Command("joint", False, ANGLES, np.full(7, 0.2), 0.0, 0.25, 0.02, rows)
+    asked = [np.radians([joint.value for joint in kinova._speeds(command, age, ANGLES).joint_speeds]) for age in (0.0, 0.06, 0.08, 0.19)]
+    np.testing.assert_allclose(asked, np.outer([0.2, 0.2, 0.0, 0.0], np.ones(7)), atol=1e-9)
+    behind = np.radians([joint.value for joint in kinova._speeds(command, 0.1, ANGLES - 0.1).joint_speeds])
+    np.testing.assert_allclose(behind, 0.1 * kortex.CORRECTION, atol=1e-9)
+
+
 def test_kortex_stops_of_itself_when_commands_cease(gen3, kinova):
     """The vendor's arm would go on for ever: the driver's thread is its watchdog."""
     kinova.read()
@@ -372,7 +383,12 @@ def test_kortex_does_not_begin_with_an_arm_in_fault(gen3):
     with pytest.raises(ToolkitError, match="not ready .in fault.; clear it on the arm"):
         kortex.Kortex("10.0.0.4", "kinova3", JOINTS, scene, ("user", "secret")).connect()
     assert not gen3.open and not gen3.modes
-    gen3.state, gen3.refuses = 7, "CreateSession"
+    for refused in ("SetServoingMode", "RefreshFeedback"):
+        gen3.state, gen3.refuses = 7, refused
+        with pytest.raises(ToolkitError, match=f"{refused} is refused"):
+            kortex.Kortex("10.0.0.4", "kinova3", JOINTS, scene, ("user", "secret")).connect()
+        assert not gen3.open, "no session is left behind"
+    gen3.refuses = "CreateSession"
     with pytest.raises(ToolkitError, match="no Gen3 answers at 10.0.0.4 .*user and password"):
         kortex.Kortex("10.0.0.4", "kinova3", JOINTS, scene, ("user", "wrong")).connect()
     assert not gen3.open

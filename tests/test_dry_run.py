@@ -1,6 +1,7 @@
 """deploy --dry-run: the vendor's fake is read, policy and safety speak, and nothing that moves is even opened."""
 
 import json
+import subprocess
 import sys
 import time
 from types import SimpleNamespace
@@ -176,3 +177,30 @@ def test_the_loop_never_touches_what_sends():
 def test_the_jacos_nominal_opening_is_its_preshape():
     manifest = load_bundle("jaco").manifest
     assert manifest.gripper.preshape > -1 and 0.2 < nominal_opening(manifest) < 1.0
+
+
+def test_a_robot_pc_needs_neither_torch_nor_robosuite_for_it():
+    """Nor onnx, safetensors or SciPy: the page's own line of packages is enough to listen to an arm."""
+    code = """
+import subprocess
+import sys
+for name in ("torch", "robosuite", "onnx", "safetensors", "scipy", "pinocchio", "numba", "rerun"):
+    sys.modules[name] = None  # not to be imported
+import time
+import numpy as np
+from toolkit.bundle import load_bundle
+from toolkit.cli import listening
+from toolkit.deploy.arm import ArmInfo, State
+from toolkit.deploy.drivers import franka, kortex, ros2, ur
+from toolkit.deploy.dry import nominal_scene
+bundle = load_bundle("kinova3")
+class Arm:
+    def listen(self):
+        return ArmInfo("kinova3", tuple(joint.name for joint in bundle.manifest.joints), (), ("joint",), 40.0)
+    def read(self):
+        return State(time.monotonic(), np.array(bundle.manifest.start.arm_rad), *nominal_scene(bundle.manifest)()[:3], opening=1.0)
+listening.dry(bundle, "kortex", Arm(), lambda: None, "joint", 2, False)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "tick 2: would send joint" in done.stdout and "2 ticks, nothing sent; 2 would have been" in done.stdout

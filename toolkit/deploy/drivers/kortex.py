@@ -110,13 +110,16 @@ class Kortex:
             ToolkitError: as of ``listen``; or the arm is in fault, or refuses the servoing mode.
         """
         info = self.listen()
-        trouble = self._complaint(self._ask(self._cyclic.RefreshFeedback))
-        if trouble:
+        try:
+            trouble = self._complaint(self._ask(self._cyclic.RefreshFeedback))
+            if trouble:
+                raise ToolkitError(f"the arm at {self.host} is not ready ({trouble}); clear it on the arm, by hand")
+            mode = self._api.Base_pb2.ServoingModeInformation()
+            mode.servoing_mode = self._api.Base_pb2.SINGLE_LEVEL_SERVOING
+            self._ask(self._base.SetServoingMode, mode)
+        except ToolkitError:
             self._leave()
-            raise ToolkitError(f"the arm at {self.host} is not ready ({trouble}); clear it on the arm, by hand")
-        mode = self._api.Base_pb2.ServoingModeInformation()
-        mode.servoing_mode = self._api.Base_pb2.SINGLE_LEVEL_SERVOING
-        self._ask(self._base.SetServoingMode, mode)
+            raise
         self._ended.clear()
         self._trouble, self._command, self._told = "", None, None
         self._streamer = threading.Thread(target=self._stream, daemon=True)
@@ -212,9 +215,10 @@ class Kortex:
             self._ended.wait(max(0.0, due - time.monotonic()))
 
     def _speeds(self, command: Command, age: float, measured: np.ndarray) -> Any:
-        """Kortex's message for the waypoint that is due; where the way has ended, the lag alone, no further. Never beyond the maker's."""
+        """Kortex's message for the waypoint that is due. A next command that is late by less than a period does not make the arm falter;
+        after that only the lag is made up. Never beyond the maker's speeds."""
         place = min(int(age * RATE), len(command.waypoints) - 1)
-        rate = command.rate if age < len(command.waypoints) / RATE else np.zeros(len(self.names))
+        rate = command.rate if age < (len(command.waypoints) + 1) / RATE else np.zeros(len(self.names))
         lag = (command.waypoints[place] - measured + np.pi) % (2 * np.pi) - np.pi
         speeds = self._api.Base_pb2.JointSpeeds()
         for i, speed in enumerate(np.degrees(np.clip(rate + CORRECTION * lag, -self._fastest, self._fastest))):
