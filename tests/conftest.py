@@ -1,7 +1,13 @@
 """What the tests share: the robots merged once, and each unmodified robosuite robot loaded once."""
 
 import logging
+import sys
+import threading
+import time
+import types
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -89,3 +95,166 @@ def engine(merged):
 def log_elsewhere(tmp_path, monkeypatch):
     """MuJoCo writes its warnings to MUJOCO_LOG.TXT where it runs."""
     monkeypatch.chdir(tmp_path)
+
+
+class Repeated(list):
+    """protobuf's repeated field of messages."""
+
+    def add(self):
+        self.append(SimpleNamespace())
+        return self[-1]
+
+
+class FakeKortex:
+    """A Gen3 behind the names of kortex_api 2.6: degrees from 0 to 360, and joints that go on at the last speed until told otherwise."""
+
+    class ServerError(Exception):
+        pass
+
+    class ClientError(Exception):
+        pass
+
+    class RouterClient:
+        basicErrorCallback = staticmethod(print)
+
+        def __init__(self, transport, callback):
+            pass
+
+    def __init__(self, monkeypatch):
+        self.calls, self.speeds, self.modes, self.angles, self.since = [], [], [], np.zeros(7), time.monotonic()
+        self.rate, self.opening, self.refuses, self.faults, self.noise = np.zeros(7), 0.75, "", [0] * 7, 0.0
+        self.state, self.motors, self.open = 7, 1, set()
+        fake = self
+
+        class Transport:
+            def connect(self, host, port):
+                fake.calls.append(("connect", host, port))
+                fake.open.add("line")
+
+            def disconnect(self):
+                fake.open.discard("line")
+
+        class Sessions:
+            def __init__(self, router):
+                pass
+
+            def CreateSession(self, wanted):
+                fake.check("CreateSession")
+                fake.calls.append(("session", wanted.username, wanted.password))
+                fake.open.add("session")
+
+            def CloseSession(self, options):
+                assert options.timeout_ms == 1000
+                fake.open.discard("session")
+
+        messages = SimpleNamespace(
+            JointSpeeds=lambda: SimpleNamespace(joint_speeds=Repeated()), GRIPPER_POSITION=3, SINGLE_LEVEL_SERVOING=2,
+            GripperCommand=lambda: SimpleNamespace(gripper=SimpleNamespace(finger=Repeated())), ServoingModeInformation=SimpleNamespace,
+        )  # fmt: skip
+        for name, found in {
+            "kortex_api": {}, "kortex_api.autogen": {}, "kortex_api.autogen.client_stubs": {}, "kortex_api.Exceptions": {},
+            "kortex_api.autogen.client_stubs.BaseClientRpc": {"BaseClient": lambda router: fake},
+            "kortex_api.autogen.client_stubs.BaseCyclicClientRpc": {"BaseCyclicClient": lambda router: fake},
+            "kortex_api.autogen.messages": {"Base_pb2": messages, "Session_pb2": SimpleNamespace(CreateSessionInfo=SimpleNamespace)},
+            "kortex_api.Exceptions.KClientException": {"KClientException": self.ClientError},
+            "kortex_api.Exceptions.KServerException": {"KServerException": self.ServerError},
+            "kortex_api.RouterClient": {"RouterClient": self.RouterClient, "RouterClientSendOptions": SimpleNamespace},
+            "kortex_api.SessionManager": {"SessionManager": Sessions}, "kortex_api.TCPTransport": {"TCPTransport": Transport},
+        }.items():  # fmt: skip
+            module = types.ModuleType(name)
+            module.__dict__.update(found)
+            monkeypatch.setitem(sys.modules, name, module)
+
+    def check(self, call):
+        if self.refuses == call:
+            raise self.ServerError(f"{call} is refused")
+
+    def moved(self):
+        now = time.monotonic()
+        self.angles, self.since = self.angles + self.rate * (now - self.since), now
+
+    def RefreshFeedback(self):
+        self.check("RefreshFeedback")
+        self.moved()
+        self.noise += 0.001
+        rows = [SimpleNamespace(position=float(a), velocity=float(v), torque=2.0 + self.noise, fault_bank_a=bank, fault_bank_b=0)
+                for a, v, bank in zip(np.degrees(self.angles) % 360, np.degrees(self.rate), self.faults, strict=True)]  # fmt: skip
+        motors = [SimpleNamespace(position=100.0 * (1 - self.opening))] * self.motors
+        return SimpleNamespace(base=SimpleNamespace(active_state=self.state), actuators=rows,
+                               interconnect=SimpleNamespace(gripper_feedback=SimpleNamespace(motor=motors)))  # fmt: skip
+
+    def SetServoingMode(self, mode):
+        self.check("SetServoingMode")
+        self.modes.append(mode.servoing_mode)
+
+    def SendJointSpeedsCommand(self, message):
+        self.check("SendJointSpeedsCommand")
+        self.moved()
+        assert [joint.joint_identifier for joint in message.joint_speeds] == list(range(7))
+        self.rate = np.radians([joint.value for joint in message.joint_speeds])
+        self.speeds.append((time.monotonic(), self.rate))
+
+    def SendGripperCommand(self, message):
+        self.calls.append(("gripper", message.mode, message.gripper.finger[0].finger_identifier, message.gripper.finger[0].value))
+
+    def Stop(self):
+        self.check("Stop")
+        self.moved()
+        self.rate = np.zeros(7)
+        self.calls.append(("stop",))
+
+
+@pytest.fixture
+def gen3(monkeypatch):
+    return FakeKortex(monkeypatch)
+
+
+class FakeRos:
+    """rclpy and the messages, as far as they are used; a publisher of joint states at 100 Hz is a thread's own business."""
+
+    def __init__(self, monkeypatch):
+        self.angles = np.zeros(7)
+        self.published, self.topics, self.heard, self.alive, self.destroyed, self.spinning = [], [], {}, False, False, threading.Event()
+        fake = self
+
+        class Node:
+            def create_publisher(self, kind, topic, depth):
+                fake.topics.append(topic)
+                return SimpleNamespace(publish=fake.published.append)
+
+            def create_subscription(self, kind, topic, callback, depth):
+                fake.heard[topic] = callback
+
+            def destroy_node(self):
+                fake.destroyed = True
+
+        def spin_once(node, timeout_sec):
+            fake.spinning.set()
+            if "/joint_states" in fake.heard:
+                seconds = 10**9 + time.monotonic()
+                stamp = SimpleNamespace(sec=int(seconds), nanosec=int(1e9 * (seconds % 1)))
+                names = [f"joint_{i}" for i in range(7, 0, -1)]
+                fake.heard["/joint_states"](SimpleNamespace(
+                    header=SimpleNamespace(stamp=stamp), name=names, position=fake.angles[::-1].tolist(), velocity=[0.0] * 7,
+                    effort=[1.0] * 7,
+                ))  # fmt: skip
+            time.sleep(0.01)
+
+        def init():
+            fake.alive = True
+
+        modules = {
+            "rclpy": {"ok": lambda: fake.alive, "init": init, "create_node": lambda name: Node(), "spin_once": spin_once},
+            "builtin_interfaces": {}, "builtin_interfaces.msg": {"Duration": lambda sec, nanosec: sec + 1e-9 * nanosec},
+            "sensor_msgs": {}, "sensor_msgs.msg": {"JointState": object}, "trajectory_msgs": {},
+            "trajectory_msgs.msg": {"JointTrajectory": SimpleNamespace, "JointTrajectoryPoint": SimpleNamespace},
+        }  # fmt: skip
+        for name, found in modules.items():
+            module = types.ModuleType(name)
+            module.__dict__.update(found)
+            monkeypatch.setitem(sys.modules, name, module)
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    return FakeRos(monkeypatch)

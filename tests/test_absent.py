@@ -114,34 +114,39 @@ def test_ros2_one_message_for_arm_and_gripper(arm, bundle):
 # -- other vendors -------------------------------------------------------------------------------------------
 
 
-def kortex(bundle, **changes):
-    feedback = {
-        "actuators": [SimpleNamespace(position=a % 360, velocity=0.0, torque=0.0) for a in np.degrees(bundle.golden["episode_joints"][0])],
-        "interconnect": SimpleNamespace(gripper_feedback=SimpleNamespace(motor=[SimpleNamespace(position=0.0)])),
-    } | changes  # fmt: skip
-    names = [joint.name for joint in bundle.manifest.joints]
-    stopped = []
-    base = SimpleNamespace(Stop=lambda: stopped.append("stop"))
-    arm = Kortex(base, SimpleNamespace(RefreshFeedback=lambda: SimpleNamespace(**feedback)), None, "iiwa", names, scene_of(bundle))
-    return arm, stopped
+@pytest.fixture
+def kortex(gen3, bundle, monkeypatch):
+    """changes to the feedback -> a connected arm."""
+
+    def connected(**changes):
+        gen3.angles, gen3.opening, read = bundle.golden["episode_joints"][0], 1.0, gen3.RefreshFeedback
+        arm = Kortex("here", "iiwa", [joint.name for joint in bundle.manifest.joints], scene_of(bundle), ("user", "secret"))
+        arm.info = arm.connect()
+        monkeypatch.setattr(gen3, "RefreshFeedback", lambda: SimpleNamespace(**vars(read()) | changes))
+        return arm
+
+    yield connected
+    monkeypatch.undo()
 
 
 EMPTY = SimpleNamespace(gripper_feedback=SimpleNamespace(motor=[]))
 
 
-def test_kortex_without_a_gripper_or_with_other_joints_says_so(bundle):
+@pytest.mark.parametrize("changes, sentence", [
+    ({"interconnect": EMPTY}, "reports no gripper"), ({"actuators": []}, "reports 0 joints, not 7"),
+])  # fmt: skip
+def test_kortex_without_a_gripper_or_with_other_joints_says_so(kortex, changes, sentence):
     """Protocol buffers give an empty list for what is not there."""
-    with pytest.raises(ToolkitError, match="reports no gripper"):
-        kortex(bundle, interconnect=EMPTY)[0].read()
-    with pytest.raises(ToolkitError, match="reports 0 joints, not 7"):
-        kortex(bundle, actuators=[])[0].read()
-    assert kortex(bundle)[0].read().opening == 1.0
+    arm = kortex(**changes)
+    with pytest.raises(ToolkitError, match=sentence):
+        arm.read()
+    arm.stop("seen")
 
 
-def test_an_arm_whose_driver_reads_nothing_is_stopped_not_left(bundle):
-    arm, stopped = kortex(bundle, interconnect=EMPTY)
-    outcome = play(Runtime(bundle, arm.connect(), "joint"), arm, TickLog(None, {}), "real")
-    assert outcome.stopped.startswith("driver: the state could not be read") and stopped
+def test_an_arm_whose_driver_reads_nothing_is_stopped_not_left(kortex, bundle, gen3):
+    arm = kortex(interconnect=EMPTY)
+    outcome = play(Runtime(bundle, arm.info, "joint"), arm, TickLog(None, {}), "real")
+    assert outcome.stopped.startswith("driver: the state could not be read") and ("stop",) in gen3.calls
 
 
 @pytest.mark.parametrize("key, value", [("getActualQ", []), ("getActualQ", [0.0] * 5), ("getActualQd", []), ("getTargetMoment", [])])

@@ -322,13 +322,16 @@ def test_a_foreign_manifest(copy, text):
 
 def test_another_format_version(copy):
     edit(copy, lambda m: m.update(format_version=FORMAT_VERSION + 1))
-    with pytest.raises(ToolkitError, match=f"this release reads {FORMAT_VERSION}"):
+    with pytest.raises(ToolkitError, match=f"this release reads 2 and {FORMAT_VERSION}; export the bundle again"):
         load_bundle(copy)
 
 
+FREE = ("run", "object", "config")
+
+
 def paths(value, path=()):
-    """Every path in nested JSON, but inside the free-form run and object."""
-    if path and path[-1] in ("run", "object"):
+    """Every path in nested JSON, but inside the free-form run, object and configuration of the controller."""
+    if path and path[-1] in FREE:
         return
     items = value.items() if isinstance(value, dict) else enumerate(value[:1]) if isinstance(value, list) else ()
     for key, item in items:
@@ -345,13 +348,13 @@ def test_a_manifest_that_lacks_or_garbles_any_entry_is_refused(exported, data):
     where = content
     for key in path[:-1]:
         where = where[key]
-    free = path[0] in ("frames", "versions", "sha256") or path[-2:-1] in (("targets",), ("fingers",)) or path[0] == "fingers"
+    free = path[0] in ("frames", "versions", "sha256", "fingers") or path[-2:-1] in (("targets",), ("fingers",), ("materials",))
     garble = data.draw(st.sampled_from(["drop", {"odd": 1}, float("nan"), True, ["x", {}]]))
     if garble == "drop" and (isinstance(where, list) or (free and len(path) > 1)):
         return  # a shorter list may be a list still, and a mapping may have fewer keys
     if garble == "drop":
         del where[path[-1]]
-    elif (isinstance(garble, bool) and isinstance(where[path[-1]], bool)) or (isinstance(garble, dict) and path[-1] in ("run", "object")):
+    elif (isinstance(garble, bool) and isinstance(where[path[-1]], bool)) or (isinstance(garble, dict) and path[-1] in FREE):
         return
     else:
         where[path[-1]] = garble
@@ -404,7 +407,7 @@ def test_a_zip_writes_nothing_and_takes_nothing_from_outside(exported, tmp_path)
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
     traversal = zipped(inside / "b.zip", [(f"../../{name}", content) for name, content in files] + [("/tmp/evil", b"no")])
-    with pytest.raises(ToolkitError, match="has no policy.onnx"):
+    with pytest.raises(ToolkitError, match="has no manifest.json"):
         load_bundle(traversal)
     assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["b.zip"]
     assert load_bundle(zipped(inside / "top.zip", files)).manifest == exported(TARGET)[1], "files may also lie at the top"

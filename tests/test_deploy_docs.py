@@ -25,7 +25,7 @@ COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE.read_text(),
 
 
 def test_there_are_commands():
-    assert [shlex.split(line)[1] for line in COMMANDS] == ["export", "verify", "deploy", "view", "bench"]
+    assert [shlex.split(line)[1] for line in COMMANDS] == ["export", "verify", "deploy", "view", "bench", "deploy"]
     assert all(line.startswith("meta-evolve ") for line in COMMANDS)
 
 

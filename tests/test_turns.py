@@ -5,7 +5,7 @@ twin's servo, and the drivers of arms that have endless joints.
 """
 
 import dataclasses
-from types import SimpleNamespace
+import time
 
 import numpy as np
 import pytest
@@ -193,26 +193,17 @@ def test_the_twins_servo_takes_the_shorter_way(task):
     np.testing.assert_allclose(ends[2], ends[0], atol=1e-9)
 
 
-def test_kortex_drives_the_shorter_way_whatever_turn_is_asked_for():
-    class Repeated(list):
-        def add(self):
-            self.append(SimpleNamespace())
-            return self[-1]
-
-    messages = SimpleNamespace(
-        JointSpeeds=lambda: SimpleNamespace(joint_speeds=Repeated()), GRIPPER_POSITION=3,
-        GripperCommand=lambda: SimpleNamespace(gripper=SimpleNamespace(finger=Repeated())),
-    )  # fmt: skip
-    feedback = SimpleNamespace(
-        actuators=[SimpleNamespace(position=359.0, velocity=0.0, torque=0.0) for _ in range(7)],
-        interconnect=SimpleNamespace(gripper_feedback=SimpleNamespace(motor=[SimpleNamespace(position=0.0)])),
-    )  # fmt: skip
+def test_kortex_drives_the_shorter_way_whatever_turn_is_asked_for(gen3):
+    gen3.angles = np.radians(np.full(7, 359.0))
     for turns in (0, 1, -2):
-        sent = []
-        base = SimpleNamespace(SendJointSpeedsCommand=sent.append, SendGripperCommand=lambda message: None)
-        arm = Kortex(base, SimpleNamespace(RefreshFeedback=lambda: feedback), messages, "kinova3", [f"j{i}" for i in range(7)],
-                     lambda: (np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), 0.0))  # fmt: skip
+        gen3.rate, gen3.angles, gen3.speeds[:] = np.zeros(7), np.radians(np.full(7, 359.0)), []
+        arm = Kortex("here", "kinova3", [f"j{i}" for i in range(7)], lambda: (np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), 0.0),
+                     ("user", "secret"))  # fmt: skip
+        arm.connect()
         arm.read()
         target = np.radians(1.0) + np.full(7, TURN * turns)
         arm.send(Command("joint", False, target, np.zeros(7), 0.0, 1.0, 0.1, target[None]))
-        np.testing.assert_allclose([joint.value for joint in sent[0].joint_speeds], 2.0 * 2.0, atol=1e-6)
+        while not gen3.speeds:
+            time.sleep(0.001)
+        arm.stop("seen")
+        np.testing.assert_allclose(np.degrees(gen3.speeds[0][1]), 2.0 * 2.0, atol=1e-6)

@@ -1,8 +1,12 @@
 """A bundle: one trained policy with everything that a robot needs to play it, as a folder or a .zip of the same files.
 
     policy.onnx          named observations in, robosuite's own action out; needs onnxruntime alone
+    policy_flat.onnx     the same with one input, (batch, numbers of the observation), as Isaac Lab's and mjlab's exporters write it
     policy.safetensors   the same policy, to be trained on
-    manifest.json        units, frames, limits, controller, response, gripper, start, lineage, label, hashes
+    actor.safetensors    the same policy as plain layers that give robosuite's own action
+    config.json          inputs and outputs in the form of a LeRobot policy's
+    manifest.json        units, frames, limits, controller, response, gripper, start, lineage, label, simulation, hashes
+    manifest.schema.json its JSON schema, with the meaning of every entry
     golden.npz           recorded observations with their actions, and one closed-loop episode
     robot.xml            the robot as MJCF: frames, joints, limits, enclosing boxes and capsules
     README.md            for people
@@ -29,7 +33,11 @@ from toolkit.quoting import told
 
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"
-HASHED = (ONNX, SAFETENSORS, GOLDEN, MJCF, README)
+FLAT_ONNX, ACTOR, SCHEMA, CONFIG = "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json"
+HASHED_2 = (ONNX, SAFETENSORS, GOLDEN, MJCF, README)
+"""Files beside the manifest in format version 2."""
+HASHED = (*HASHED_2, FLAT_ONNX, ACTOR, SCHEMA, CONFIG)
+"""The same since version 3."""
 FILES = (*HASHED, MANIFEST)
 LARGEST_FILE = 64 * 2**20
 """Bytes; a file of a bundle that is larger is none."""
@@ -95,13 +103,13 @@ def load_bundle(path: str | Path) -> Bundle:
     """
     path = find_bundle(path)
     files = _read_folder(path) if path.is_dir() else _read_zip(path)
-    missing = [name for name in FILES if name not in files]
-    if missing:
-        raise ToolkitError(f"bundle {path} has no {missing[0]}; copy or export it again, whole")
+    _there(files, (MANIFEST,), path)
     content = parsed(files[MANIFEST], f"{path}/{MANIFEST}", "copy or export the bundle again")
     manifest = read_manifest(content, f"{path}/{MANIFEST}")
+    hashed = HASHED if manifest.format_version >= 3 else HASHED_2
+    _there(files, hashed, path)
     check_makers_limits(manifest, f"{path}/{MANIFEST}")
-    for name in HASHED:
+    for name in hashed:
         found, wanted = hashlib.sha256(files[name]).hexdigest(), manifest.sha256.get(name)
         if found != wanted:
             raise ToolkitError(
@@ -116,6 +124,12 @@ def load_bundle(path: str | Path) -> Bundle:
     except UnicodeDecodeError as error:
         raise ToolkitError(f"{path}/{MJCF} is no text ({error}); copy or export the bundle again") from error
     return Bundle(path, manifest, policy, golden, mjcf)
+
+
+def _there(files: dict[str, bytes], names: tuple[str, ...], path: Path) -> None:
+    missing = [name for name in names if name not in files]
+    if missing:
+        raise ToolkitError(f"bundle {path} has no {missing[0]}; copy or export it again, whole")
 
 
 def _read_folder(path: Path) -> dict[str, bytes]:

@@ -31,6 +31,8 @@ LARGEST_VECTOR = 10_000
 
 METADATA_KEY = "meta_evolve"
 """Key of the model's metadata_props under which the caller's JSON travels."""
+FLAT_INPUT, FLAT_OUTPUT = "obs", "actions"
+"""Names in the graph with one batched input: those that rsl_rl's exporter gives, and with it Isaac Lab and mjlab."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,8 @@ def export_onnx(
     action_map: ActionMap,
     record: Mapping[str, int],
     metadata: Mapping[str, Any] | None = None,
+    words: Mapping[str, str] | None = None,
+    flat: bool = False,
 ) -> None:
     """Write the policy's mean action as one ONNX file, whole or not at all. Same policy, same bytes.
 
@@ -83,6 +87,9 @@ def export_onnx(
         action_map: to the robot's own action.
         record: name -> size of each observation entry, in the order in which the policy sees them.
         metadata: anything JSON can hold (names, sizes, units, rate [Hz], run), stored in metadata_props.
+        words: further metadata_props, as they are; see ``peer_words``.
+        flat: one float32 input `obs` (batch, n_obs), the record's entries one after another, and the output `actions` (batch, n_out).
+            Such a file is for other people's runtimes; ``load_onnx`` takes the one with names.
 
     Raises:
         ToolkitError: sizes that do not fit the policy, metadata that is not JSON, or a path that cannot be written.
@@ -95,17 +102,17 @@ def export_onnx(
     except (TypeError, ValueError) as error:
         raise ToolkitError(f"metadata for {path} is not JSON ({error}); give strings, numbers and lists.") from error
     model = onnx.helper.make_model(
-        _graph(policy, action_map, record),
+        _graph(policy, action_map, record, flat),
         producer_name="meta-evolve",
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    onnx.helper.set_model_props(model, {METADATA_KEY: text})
+    onnx.helper.set_model_props(model, {METADATA_KEY: text, **(words or {})})
     onnx.checker.check_model(model, full_check=True)
     _write_atomically(Path(path), model.SerializeToString(deterministic=True))
 
 
-def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int]) -> "onnx.GraphProto":
+def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int], flat: bool) -> "onnx.GraphProto":
     """The same few lines as `GaussianPolicy.mean` and `ActionMap.__call__`, as nodes."""
     from onnx import TensorProto, helper, numpy_helper
 
@@ -122,12 +129,13 @@ def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str,
         return output
 
     def affine(x: str, name: str, W: np.ndarray, b: np.ndarray) -> str:
-        product = node("MatMul", [constant(f"{name}.weight", W), x], f"{name}.product")
+        # Transposed, so that a batch's rows pass through as one vector does.
+        product = node("MatMul", [x, constant(f"{name}.weight", W.T)], f"{name}.product")
         return node("Add", [product, constant(f"{name}.bias", b)], f"{name}.sum")
 
     layers = policy.layers()
     clip = [constant("observation.low", -OBSERVATION_CLIP), constant("observation.high", OBSERVATION_CLIP)]
-    x = node("Concat", list(record), "observation", axis=0)
+    x = FLAT_INPUT if flat else node("Concat", list(record), "observation", axis=0)
     x = node("Cast", [x], "observation.float64", to=TensorProto.DOUBLE)
     x = node("Sub", [x, constant("observation.shift", layers.shift)], "observation.centred")
     x = node("Div", [x, constant("observation.scale", layers.scale)], "observation.scaled")
@@ -138,10 +146,62 @@ def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str,
             x = node("Tanh", [x], f"layer_{i}.tanh")
     x = affine(x, "action_map", action_map.matrix, action_map.offset)
     x = node("Clip", [x, constant("action.low", -1.0), constant("action.high", 1.0)], "action.clipped")
-    node("Cast", [x], "action", to=TensorProto.FLOAT)
-    inputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [size]) for name, size in record.items()]
-    output = helper.make_tensor_value_info("action", TensorProto.FLOAT, [len(action_map.offset)])
+    out, batch = (FLAT_OUTPUT, ["batch"]) if flat else ("action", [])
+    node("Cast", [x], out, to=TensorProto.FLOAT)
+    vectors = {FLAT_INPUT: sum(record.values())} if flat else record
+    inputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [*batch, size]) for name, size in vectors.items()]
+    output = helper.make_tensor_value_info(out, TensorProto.FLOAT, [*batch, len(action_map.offset)])
     return helper.make_graph(nodes, "meta_evolve_policy", inputs, [output], constants)
+
+
+def peer_words(
+    joints: Sequence[str], stiffness: Sequence[float], damping: Sequence[float], positions: Sequence[float], observations: Sequence[str],
+    scale: Sequence[float], path: str,
+) -> dict[str, str]:  # fmt: skip
+    """metadata_props by the keys that Isaac Lab's and mjlab's exporters of policies use, lists separated by commas as there.
+
+    Numbers are written so that they read back to the bit; the peers round them to three digits.
+
+    Args:
+        joints: names (n,).  stiffness, damping: of each one's motor [N m/rad, N m s/rad, or per metre]; 0 for a torque motor.
+        positions: (n,) at the start [rad, m].
+        observations: names of the entries, in order.
+        scale: of each number of the action, in its unit.
+        path: where the policy comes from.
+    """
+    rows = {"joint_names": joints, "joint_stiffness": stiffness, "joint_damping": damping, "default_joint_pos": positions,
+            "command_names": (), "observation_names": observations, "action_scale": scale}  # fmt: skip
+    told = {key: ",".join(one if isinstance(one, str) else repr(float(one)) for one in row) for key, row in rows.items()}
+    return {"run_path": path, **told}
+
+
+def export_actor(policy: "GaussianPolicy", path: str | Path, action_map: ActionMap, metadata: Mapping[str, str]) -> None:
+    """Write the policy's mean action as plain layers, safetensors, whole or not at all: robosuite's own action comes out.
+
+    With x (n_obs,): ``x = clip((x - observation.shift) / observation.scale, -observation.clip, observation.clip)``, then per layer i
+    ``x = layer_i.weight @ x + layer_i.bias``, tanh after each but the last, then ``clip(x, -1, 1)``. The map from the policy's record to
+    robosuite's action is folded into the last layer. All float64.
+
+    Args:
+        policy: what to export.
+        path: file to write.
+        action_map: to the robot's own action.
+        metadata: for the file's header.
+
+    Raises:
+        ToolkitError: the path cannot be written.
+    """
+    from safetensors.numpy import save
+
+    from toolkit.learning.policy import OBSERVATION_CLIP
+
+    layers = policy.layers()
+    *inner, (W, b) = layers.weights
+    weights = [*inner, (action_map.matrix @ W, action_map.matrix @ b + action_map.offset)]
+    tensors = {"observation.shift": layers.shift, "observation.scale": layers.scale, "observation.clip": np.array([OBSERVATION_CLIP])}
+    for i, (W, b) in enumerate(weights):
+        tensors |= {f"layer_{i}.weight": W, f"layer_{i}.bias": b}
+    _write_atomically(Path(path), save({name: np.ascontiguousarray(array) for name, array in tensors.items()}, dict(metadata)))
 
 
 def _check_sizes(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int]) -> None:

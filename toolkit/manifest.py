@@ -14,7 +14,10 @@ from typing import Any, Literal
 
 from toolkit.errors import ToolkitError
 
-FORMAT, FORMAT_VERSION = "meta-evolve bundle", 2
+FORMAT, FORMAT_VERSION = "meta-evolve bundle", 3
+READABLE = (2, 3)
+"""Versions that this release reads. Version 2 has neither ``simulation`` nor ``licence``: golden.npz alone settles what they say."""
+SINCE_3 = ("simulation", "licence")
 
 Vector = tuple[float, ...]
 
@@ -403,7 +406,11 @@ class Golden:
 
 @dataclass(frozen=True)
 class Graph:
-    """The ONNX graph: its opset and IR version, the type of inputs and output, the output's name."""
+    """The ONNX graph.
+
+    Attributes:
+        opset, ir_version: of ONNX.  type: of inputs and output.  output: its name.
+    """
 
     opset: int
     ir_version: int
@@ -412,12 +419,244 @@ class Graph:
 
 
 @dataclass(frozen=True)
+class NullSpace:
+    """What the arm's redundant joints do, in the null space of the six goals.
+
+    Attributes:
+        posture_rad: (n,) where they are pulled.
+        kp: [1/s^2].  kd: [1/s].
+        law: torque, before it is projected by N^T, N = I - M^-1 J^T L J.
+    """
+
+    posture_rad: Vector
+    kp: float
+    kd: float
+    law: str
+
+
+@dataclass(frozen=True)
+class Osc:
+    """robosuite's controller as it stands in the simulation, for who writes one of his own.
+
+    Attributes:
+        config: robosuite's whole configuration of it; arrays as lists.
+        goal_from: "achieved": a delta is added to the pose where the grasp frame is; "desired": to the last goal.
+        reference_frame: "base": deltas and the goal between two actions are kept in the base site's frame.
+        base_position_m, base_quaternion: of that site at the start, task frame, w first.
+        decoupled: whether force and torque have an inertia each (L_p, L_r), not one of both.
+        null_space: of the redundant joints.
+        torque_limit_nm: (n,) to which the torques are cut.  compensation: what is added to them.
+        law: of the torques, every physics step.  orientation_error: e_R in it.
+    """
+
+    config: dict[str, Any]
+    goal_from: str
+    reference_frame: str
+    base_position_m: Vector
+    base_quaternion: Vector
+    decoupled: bool
+    null_space: NullSpace
+    torque_limit_nm: Vector
+    compensation: str
+    law: str
+    orientation_error: str
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """One motor of the gripper, a position servo.
+
+    Attributes:
+        name: robosuite's, without its prefix.  joint: that it drives.
+        start: robosuite's integrated state at the start of an episode, -1 to 1.
+        sign: of that state's change when the action closes; it changes by gripper.rate per policy step, and is cut to -1 to 1.
+        low, high: position target at the states -1 and +1, in the joint's unit.
+        nonlinearity: largest distance of the target in between from the straight line, in the joint's unit.
+        stiffness, damping: of the servo, per radian or metre.  force: (2,) range of what it gives [N m or N]; None: any.
+    """
+
+    name: str
+    joint: str
+    start: float
+    sign: float
+    low: float
+    high: float
+    nonlinearity: float
+    stiffness: float
+    damping: float
+    force: Vector | None
+
+
+@dataclass(frozen=True)
+class ClosingProgress:
+    """The observation's entry of that name.
+
+    Attributes:
+        formula: of ``command``, gripper.law's number, and ``preshape``, gripper.preshape.
+        low, high: its values at the commands -1 and +1; below -1 where the preshape is not quite open.
+    """
+
+    formula: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a shape touches, in MuJoCo's terms. Of two that touch the larger friction counts, the mean of solref and solimp.
+
+    Attributes:
+        friction: (3,) sliding [1], spinning [m], rolling [m].  solref: (2,) time constant [s], damping ratio.
+        solimp: (5,).  margin_m, gap_m: distances at which contacts begin and push.  condim, priority: MuJoCo's.
+    """
+
+    friction: Vector
+    solref: Vector
+    solimp: Vector
+    margin_m: float
+    gap_m: float
+    condim: int
+    priority: int
+
+
+@dataclass(frozen=True)
+class Physics:
+    """MuJoCo's options.
+
+    Attributes:
+        timestep_s: of a physics step.  substeps: of them per policy step.
+        integrator, cone, solver: by MuJoCo's names.  iterations, tolerance, impratio, noslip_iterations: of the solver.
+        gravity_m_s2: (3,) task frame.
+    """
+
+    timestep_s: float
+    substeps: int
+    integrator: str
+    cone: str
+    solver: str
+    iterations: int
+    tolerance: float
+    impratio: float
+    noslip_iterations: int
+    gravity_m_s2: Vector
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """When an observation is taken.
+
+    Attributes:
+        when: in words.
+        joint_age_s, pose_age_s: of joint angles, and of the poses of grasp frame and object, when the policy sees them.
+        golden_pose_age_s: the same of poses in golden.npz.
+    """
+
+    when: str
+    joint_age_s: float
+    pose_age_s: float
+    golden_pose_age_s: float
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where the episodes of the label began.
+
+    Attributes:
+        generator: of random numbers, one per episode, from its seed.
+        seed, episodes: of the first episode, and how many; each next seed is larger by one.
+        draws: in this order, each uniform from ``low`` to ``high`` (n,) [m, m, rad].
+        meaning: of the draws.
+        goal_from: what task.goal_offset_m is added to.
+        examples: (k, 7) of the first k seeds: object's x, y, z [m], its yaw [rad], goal's x, y, z [m]; task frame.
+    """
+
+    generator: str
+    seed: int
+    episodes: int
+    draws: tuple[str, ...]
+    low: Vector
+    high: Vector
+    meaning: str
+    goal_from: str
+    examples: tuple[Vector, ...]
+
+    def __post_init__(self) -> None:
+        _require(len(self.draws) == len(self.low) == len(self.high), "draws, low and high differ in length")
+
+
+@dataclass(frozen=True)
+class Holding:
+    """How steps at the goal are counted.
+
+    Attributes:
+        consecutive: whether one step away from the goal begins the count anew.
+        strict: whether a distance of exactly the tolerance is away.
+        counted: when.
+    """
+
+    consecutive: bool
+    strict: bool
+    counted: str
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """How far the arm still goes when it is held in motion, under `osc`, without load, in simulation.
+
+    Attributes:
+        action: delta that moved it, of 1.  speed_m_s: when it was held.
+        distance_m: farthest that the grasp frame came from where it was then, the worst of the directions tried.
+        time_s: until it moved by less than a tenth of a millimetre per policy step.
+    """
+
+    action: float
+    speed_m_s: float
+    distance_m: float
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """All that closes the loop around the policy where its label was measured, read there at export.
+
+    Attributes:
+        environment: what it was.  mount_position_m: of the robot's mount, task frame, as given to robosuite's set_base_xpos.
+        osc: the controller.  actuators: of the gripper, in robosuite's order.  closing_progress: see there.
+        materials: shape -> how it touches; "table", "object" and the gripper's shapes by name.
+        object_density_kg_m3: that gives its mass.
+        physics, sampling, starts, holding: see there.  stopping: slowest first.
+    """
+
+    environment: str
+    mount_position_m: Vector
+    osc: Osc
+    actuators: tuple[Actuator, ...]
+    closing_progress: ClosingProgress
+    materials: dict[str, Material]
+    object_density_kg_m3: float
+    physics: Physics
+    sampling: Sampling
+    starts: Starts
+    holding: Holding
+    stopping: tuple[Stopping, ...]
+
+    def __post_init__(self) -> None:
+        _require(len(self.mount_position_m) == 3, "mount_position_m is no vector of 3")
+        _require({"table", "object"} <= set(self.materials), "materials lacks table or object")
+
+
+@dataclass(frozen=True)
 class Manifest:
     """All of it; see the records.
 
     Attributes:
-        frames: name -> what it is.  versions: software that exported it.
+        format, format_version: of this file.  robot, task, lineage, success, golden, graph: see the records.
+        frames: name -> what it is.  policy_hz: actions per second.  controller_hz: physics steps and torques per second.
+        controller: under which it was trained.  observation, action: in the graph's order.  joints: of the arm, base to flange.
+        fingers: entry of the observation -> its joint; an entry that is not there is 0.  gripper: its law.
+        start: of an episode.  cartesian, watch: limits.  versions: software that exported it.
         run: the configuration of the run that trained the policy.  sha256: file -> digest.
+        simulation: all that else closes the loop.  licence: of the bundle, by SPDX. Both None in format version 2.
     """
 
     format: str
@@ -443,8 +682,12 @@ class Manifest:
     versions: dict[str, str]
     run: dict[str, Any]
     sha256: dict[str, str]
+    simulation: Simulation | None = None
+    licence: str | None = None
 
     def __post_init__(self) -> None:
+        for key in SINCE_3:
+            _require((getattr(self, key) is None) == (self.format_version < 3), f"{key} does not fit format version {self.format_version}")
         _require(self.policy_hz > 0 and self.controller_hz >= self.policy_hz, "policy_hz and controller_hz are no rates")
         for key in ("observation", "action", "joints"):
             names = [entry.name for entry in getattr(self, key)]
@@ -459,7 +702,8 @@ class Manifest:
 
     def to_json(self) -> dict[str, Any]:
         """As it is written, JSON values only."""
-        return json.loads(json.dumps(asdict(self), allow_nan=False))
+        content = json.loads(json.dumps(asdict(self), allow_nan=False))
+        return {key: value for key, value in content.items() if self.format_version >= 3 or key not in SINCE_3}
 
     def label(self) -> dict[str, Any]:
         """What the ONNX file carries: all but the files' hashes, of which its own would be one."""
@@ -478,10 +722,14 @@ def read_manifest(content: Any, where: str) -> Manifest:
     """
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ToolkitError(f"{where} is no manifest of a {FORMAT}; give a folder that an export wrote")
-    if content.get("format_version") != FORMAT_VERSION:
+    version = content.get("format_version")
+    if type(version) is not int or version not in READABLE:
         raise ToolkitError(
-            f"{where} has format version {content.get('format_version')!r}; this release reads {FORMAT_VERSION}; export the bundle again"
+            f"{where} has format version {_shown(version)}; this release reads {' and '.join(map(str, READABLE))}; export the bundle "
+            "again, with: meta-evolve export"
         )
+    if version < 3:
+        content = dict.fromkeys(SINCE_3) | content
     return _read(Manifest, content, where, "")
 
 

@@ -17,7 +17,6 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.pick import (
     ACTION_SIZE,
-    GOAL_OFFSET,
     OBJECT_XY,
     OBSERVATION,
     START_POSITION,
@@ -27,13 +26,14 @@ from tasks.pick import (
     PickTask,
 )  # fmt: skip
 from toolkit import datasheet
-from toolkit.bundle import GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS
+from toolkit.bundle import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
 from toolkit.claims import claim, give_up
 from toolkit.datasheet import Played
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
-from toolkit.export import IR_VERSION, OPSET, ActionMap, export_onnx, onnx_max_abs_error
+from toolkit.export import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
 from toolkit.learning.policy import GaussianPolicy
+from toolkit.loop import licence, read_simulation
 from toolkit.manifest import (
     FORMAT,
     FORMAT_VERSION,
@@ -56,6 +56,7 @@ from toolkit.manifest import (
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
 from toolkit.runs import git_state, recorded_versions, write_atomically
+from toolkit.schema import manifest_schema
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
 
 ZIPPED = "bundle.zip"
@@ -209,15 +210,53 @@ def _write(
     action_map = gripper_action_map()
     export_onnx(policy, folder / ONNX, action_map, OBSERVATION)  # to be measured; once more below, with its metadata
     manifest, files = _describe(policy, robot, task, action_map, folder / ONNX, config, lineage, success, progress, episodes)
-    export_onnx(policy, folder / ONNX, action_map, OBSERVATION, manifest.label())
+    words = _peer_words(manifest)
+    export_onnx(policy, folder / ONNX, action_map, OBSERVATION, manifest.label(), words)
+    export_onnx(policy, folder / FLAT_ONNX, action_map, OBSERVATION, manifest.label(), words, flat=True)
     policy.save(folder / SAFETENSORS)
+    export_actor(policy, folder / ACTOR, action_map, {"licence": manifest.licence, **{key: words[key] for key in ("observation_names",)},
+                                                      "action_names": ",".join(ACTION_NAMES)})  # fmt: skip
+    files |= {SCHEMA: _json(manifest_schema()), CONFIG: _json(policy_config(manifest))}
     for file, content in files.items():
         write_atomically(folder / file, content)
     digests = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in HASHED}
     manifest = Manifest(**(manifest.__dict__ | {"sha256": digests}))
-    write_atomically(folder / MANIFEST, (json.dumps(manifest.to_json(), indent=1) + "\n").encode())
+    write_atomically(folder / MANIFEST, _json(manifest.to_json()))
     write_atomically(folder / ZIPPED, _zipped(folder, name))
     return manifest
+
+
+def _json(content: dict[str, Any]) -> bytes:
+    return (json.dumps(content, indent=1) + "\n").encode()
+
+
+def _peer_words(manifest: Manifest) -> dict[str, str]:
+    """The manifest in the keys of Isaac Lab and mjlab: arm joints, moved by torques, then the gripper's motors."""
+    actuators, start = manifest.simulation.actuators, manifest.start
+    none = [0.0] * len(manifest.joints)
+    return peer_words(
+        [*(joint.name for joint in manifest.joints), *(motor.joint for motor in actuators)],
+        [*none, *(motor.stiffness for motor in actuators)], [*none, *(motor.damping for motor in actuators)],
+        [*start.arm_rad, *(start.fingers[motor.joint] for motor in actuators)], [entry.name for entry in manifest.observation],
+        [getattr(manifest.controller, entry.unit.removeprefix("controller."), 1.0) for entry in manifest.action],
+        "/".join((*manifest.lineage.route, manifest.task.name)),
+    )  # fmt: skip
+
+
+def policy_config(manifest: Manifest) -> dict[str, Any]:
+    """Inputs and outputs in the form of a LeRobot policy's config.json: typed features with shapes, and how they are normalised (not
+    at all, outside of the graph); after them what that form has no place for."""
+    inputs = sum(entry.size for entry in manifest.observation)
+    return {
+        "type": "meta_evolve", "n_obs_steps": 1, "n_action_steps": 1,
+        "input_features": {"observation.state": {"type": "STATE", "shape": [inputs]}},
+        "output_features": {"action": {"type": "ACTION", "shape": [len(manifest.action)]}},
+        "normalization_mapping": {"STATE": "IDENTITY", "ACTION": "IDENTITY"}, "device": "cpu", "license": manifest.licence,
+        "fps": manifest.policy_hz, "robot_type": manifest.robot.name,
+        "observation_names": [f"{entry.name}.{axis}" if entry.size > 1 else entry.name for entry in manifest.observation
+                              for axis in ("xyz" if entry.size == 3 else range(entry.size))],
+        "action_names": [entry.name for entry in manifest.action], "onnx": FLAT_ONNX, "safetensors": ACTOR,
+    }  # fmt: skip
 
 
 def _zip_of(out: Path) -> Path:
@@ -258,6 +297,8 @@ def _describe(
     progress(f"playing {disturbed} episodes with the noise of training")
     noisy = datasheet.watch(plant, policy, seeds[undisturbed:], True, lowest)
     golden, arrays = _golden(plant, robot, policy, action_map, onnx)
+    progress("reading what else closes the loop")
+    simulation = read_simulation(robot, task, plant, success)
     manifest = Manifest(
         format=FORMAT, format_version=FORMAT_VERSION, robot=card, task=_task_card(task), frames=FRAMES,
         policy_hz=task.control_frequency, controller_hz=float(round(1.0 / plant.model.opt.timestep)),
@@ -266,7 +307,7 @@ def _describe(
         joints=_joints(robot, plant, calm), cartesian=_cartesian(calm, task.control_frequency), watch=_watch(calm, task),
         lineage=lineage, success=success,
         golden=golden, graph=Graph(OPSET, IR_VERSION, "float32", "action"), versions=_versions(), run=config,
-        sha256={},
+        sha256={}, simulation=simulation, licence=licence(),
     )  # fmt: skip
     return manifest, {MJCF: mjcf.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
 
@@ -439,7 +480,7 @@ def _task_card(task: PickTask) -> TaskCard:
     shape = {"name": item.name, "shape": item.shape, "half_size_m": list(item.half_size), "mass_kg": item.mass}
     return TaskCard(
         name=task.name, object=shape, object_xy_m=_numbers(OBJECT_XY), noise_xy_m=task.noise_xy, noise_yaw_rad=float(task.noise_yaw),
-        table_top_m=TABLE_TOP, table_size_m=TABLE_FULL_SIZE, goal_offset_m=_numbers(GOAL_OFFSET), goal_tolerance_m=task.goal_tolerance,
+        table_top_m=TABLE_TOP, table_size_m=TABLE_FULL_SIZE, goal_offset_m=_numbers(task.goal_offset), goal_tolerance_m=task.goal_tolerance,
         hold_steps=task.hold_steps, horizon_steps=task.horizon, lost_below_m=LOST_BELOW,
     )  # fmt: skip
 
@@ -477,8 +518,12 @@ def _readme(manifest: Manifest) -> str:
         "- Never run on hardware. Read docs/deploy.md of meta-evolve before you do.", "",
         "| file | what it is |", "|---|---|",
         "| policy.onnx | named observations in, robosuite's action out; normaliser inside; the manifest in its metadata |",
+        "| policy_flat.onnx | the same with one batched input `obs` and the output `actions`; metadata keys of Isaac Lab and mjlab |",
         "| policy.safetensors | the same policy, to be trained on |",
-        "| manifest.json | units, frames, order, ranges, limits, controller, gripper, start, hashes |",
+        "| actor.safetensors | the same policy as plain layers; robosuite's action comes out |",
+        "| config.json | inputs and outputs in the form of a LeRobot policy's |",
+        "| manifest.json | units, frames, order, ranges, limits, controller, gripper, start, simulation, hashes |",
+        "| manifest.schema.json | its JSON schema, with the meaning of every entry |",
         "| golden.npz | observations with their actions, and one whole episode, to test a copy with |",
         "| robot.xml | the robot for MuJoCo: frames, joints, limits; boxes and capsules that enclose its meshes |", "",
         "## What the seven actions mean", "",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
+DriverName = Literal["sim", "ur", "franka", "kortex", "ros2"]
 
 LABEL_EPISODES = 40
 TOKEN = "META_EVOLVE_TWIN_TOKEN"
@@ -53,7 +54,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, j
 
 def deploy(
     bundle: Annotated[str, tyro.conf.Positional],
-    driver: Literal["sim"] = "sim",
+    driver: DriverName = "sim",
     episodes: int = 10,
     seed: int = 0,
     form: FormName = "osc",
@@ -61,16 +62,20 @@ def deploy(
     connect: str | None = None,
     token: str | None = None,
     log: Path | None = None,
+    dry_run: bool = False,
+    host: str | None = None,
+    ticks: int = 20,
     json: bool = False,
 ) -> None:
     """Move an arm with a bundle, through the safety filter. The arm is the twin: robosuite's robot in a process of its own.
 
     This side needs neither torch nor robosuite. The twin starts by itself, or beforehand, perhaps in another environment or
-    on another machine, with: meta-evolve twin BUNDLE. Real arms are driven from a few lines of Python: docs/deploy.md.
+    on another machine, with: meta-evolve twin BUNDLE. Real arms are driven from a few lines of Python: docs/deploy.md. With --dry-run
+    any of them is read, and what would be sent is printed; nothing is sent.
 
     Args:
         bundle: folder, .zip, or the name of a shipped bundle.
-        driver: which arm.
+        driver: which arm: sim (the twin), or, with --dry-run, ur, franka, kortex (Kinova Gen3) or ros2.
         episodes: how many.
         seed: shifts the episodes' starts; they are those of evaluate and verify.
         form: of the commands: osc (robosuite's own deltas), pose (poses in the base frame), joint (angles, through mink).
@@ -78,14 +83,29 @@ def deploy(
         connect: HOST:PORT of a twin that already runs.
         token: that it printed, if other machines can reach it; default: from the environment's META_EVOLVE_TWIN_TOKEN.
         log: file for one JSON line per tick; look at it with: meta-evolve view FILE.
+        dry_run: open nothing that can move the arm; read it, and print what would be sent. For a real arm give --form joint.
+        host: address of the arm, for --dry-run with ur, franka or kortex.
+        ticks: of a dry run.
         json: print one JSON object.
     """
+    if driver != "sim" and not dry_run:
+        raise ToolkitError(f"--driver {driver} moves an arm only from Python, with your cameras (docs/deploy.md: A real arm); "
+                           "from the command line add --dry-run")  # fmt: skip
+    if dry_run and (log is not None or (driver != "sim" and connect is not None)):
+        raise ToolkitError("a dry run writes no log, and connects to a twin only with --driver sim; leave out --log or --connect")
+    if ticks < 1:
+        raise ToolkitError(f"ticks is {ticks}; give at least one")
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
     from toolkit.bundle import load_bundle
     from toolkit.deploy.drivers.sim import SimDriver
 
     loaded = load_bundle(bundle)
+    if driver != "sim":
+        from toolkit.cli.listening import dry, listener
+
+        dry(loaded, driver, *listener(loaded, driver, host), form, ticks, json)
+        return
     twin = None
     if connect is None:
         twin, port = start_twin(bundle, pace)
@@ -93,6 +113,12 @@ def deploy(
     else:
         arm = SimDriver(*_address(connect), token=token if token is not None else os.environ.get(TOKEN, ""))
     try:
+        if dry_run:
+            from toolkit.cli.listening import ListenedTwin, dry
+            from toolkit.deploy.runtime import EVALUATION_SEEDS
+
+            dry(loaded, driver, ListenedTwin(arm, EVALUATION_SEEDS + seed * 10**6), arm.leave, form, ticks, json)
+            return
         content = _deploy(loaded, arm, episodes, seed, form, pace, log, json)
     finally:
         if twin is not None:

@@ -6,7 +6,8 @@
     motion.py       action -> command, in three forms, within the manifest's limits
     safety.py       what makes the runtime hold the arm, and stop it
     runtime.py      one tick; an episode; the log
-    drivers/        arms: the simulated twin, Universal Robots, Franka; skeletons for Kinova Kortex and ROS 2
+    dry.py          what would be sent to an arm that is only read
+    drivers/        arms: the simulated twin, Universal Robots, Franka, Kinova Gen3, whatever ROS 2 moves
 
 Imports numpy, onnxruntime, mujoco and mink, never torch, robosuite, rerun or pin: a robot PC needs no more.
 """

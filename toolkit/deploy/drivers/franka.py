@@ -50,8 +50,8 @@ class Franka:
         self._width_sent: float | None = None
         self._clock = DeviceClock()
 
-    def connect(self) -> ArmInfo:
-        """See Driver.
+    def listen(self) -> ArmInfo:
+        """As ``connect``, but no setting of the arm is touched; franky moves an arm only when it is given a motion.
 
         Raises:
             ToolkitError: franky is not installed, or the arm does not answer.
@@ -61,8 +61,17 @@ class Franka:
             self._arm, self._hand = franky.Robot(self.host), franky.Gripper(self.host)
         except (RuntimeError, franky.Exception) as error:
             raise ToolkitError(f"no Franka answers at {self.host} ({error}); is FCI on, and does franky fit its version?") from None
-        self._arm.relative_dynamics_factor = DYNAMICS
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
+
+    def connect(self) -> ArmInfo:
+        """See Driver.
+
+        Raises:
+            ToolkitError: as of ``listen``.
+        """
+        info = self.listen()
+        self._arm.relative_dynamics_factor = DYNAMICS
+        return info
 
     def read(self) -> State:
         """See Driver. Efforts are the measured link-side torques [N m], gravity included; the stamp is the

@@ -1,24 +1,18 @@
-"""Kinova Gen3 through Kinova's Kortex API, high level: a skeleton. Its conversions are tested against a fake; nothing of it
-was run on hardware.
+"""Kinova Gen3 through Kinova's Kortex API, high level. Tested against a fake; never run on hardware.
 
-Kinova gives its wheel out on its own site, pinned to an old protobuf, so you make the session and pass its clients in:
+    joint   joint speeds over TCP at 40 Hz, from a thread of its own: those of the waypoint that is due, and a correction of the lag
+    hold    Stop, the arm's own deceleration
 
-    from kortex_api.autogen.client_stubs.BaseClientRpc import BaseClient
-    from kortex_api.autogen.client_stubs.BaseCyclicClientRpc import BaseCyclicClient
-    from kortex_api.autogen.messages import Base_pb2
-    arm = Kortex(BaseClient(router), BaseCyclicClient(router), Base_pb2, "kinova3", joints, scene)
-
-What it does: joint speeds over TCP at 40 Hz. What you must still do: make session and router with your arm's address and
-account, set the servoing mode to single level, move the arm to the start posture, and try it without an object first.
-
-Units of the vendor: degrees and degrees per second, joint angles from 0 to 360; torques in N m; the gripper from 0 open to
-1 closed in commands, 0 to 100 in feedback. The ``duration`` of a speed command is not implemented by the vendor: the arm
-goes on until it is told otherwise. Call ``watch`` from a thread of its own, or it will, too, when your program dies.
+Kinova gives its wheel (kortex_api) out on its own site, not on PyPI, pinned to an old protobuf; it is imported only when the driver
+connects. Units of the vendor: degrees and degrees per second, joint angles from 0 to 360; torques in N m; the gripper from 0 open to 1
+closed in commands, 0 to 100 in feedback. The ``duration`` of a speed command is not implemented by the vendor: the arm goes on until it is
+told otherwise, so the thread is its watchdog, and the session's own timeout is what is left if the whole program dies.
 """
 
+import threading
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,44 +20,121 @@ from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.drivers.stamps import Changes
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
+from toolkit.makers import JOINT_SPEEDS
 
 RATE = 40.0
 """[Hz] of Kinova's high-level commands."""
 CORRECTION = 2.0
 """[1/s] by which a joint that lags is sped up: speeds alone would drift."""
 WATCHDOG = 0.2
-"""[s] without a command after which ``watch`` stops the arm."""
+"""[s] without a command after which the arm is stopped."""
+PORT = 10000
+"""TCP port of Kortex, as in Kinova's own examples."""
+SESSION_TIMEOUT, CONNECTION_TIMEOUT = 10_000, 2_000
+"""[ms] without a word after which the arm itself ends the session, and the connection: as in Kinova's own examples."""
+IN_FAULT = 4
+"""ARMSTATE_IN_FAULT of Kortex's ArmState."""
+NEWS = 0.005
+"""Change of the opening, 0 to 1, from which the gripper is told."""
+
+
+class _Api(NamedTuple):
+    """What is used of kortex_api, under its own names."""
+
+    TCPTransport: Any
+    RouterClient: Any
+    RouterClientSendOptions: Any
+    SessionManager: Any
+    BaseClient: Any
+    BaseCyclicClient: Any
+    Session_pb2: Any
+    Base_pb2: Any
+    errors: tuple[type[BaseException], ...]
 
 
 class Kortex:
     """A Gen3.
 
     Args:
-        base, cyclic, messages: Kortex's BaseClient, BaseCyclicClient and Base_pb2.
+        host: address of the arm.
         robot: the toolkit's name of the system.
-        joints: names of the arm's joints in the bundle, base to flange.
+        joints: names of the arm's joints in the bundle, base to flange; Kortex numbers them in the same order.
         scene: reads the cameras.
+        account: user and password on the arm.
     """
 
-    def __init__(self, base: Any, cyclic: Any, messages: Any, robot: str, joints: Sequence[str], scene: Scene) -> None:
-        self.base, self.cyclic, self.messages = base, cyclic, messages
-        self.robot, self.names, self.scene = robot, tuple(joints), scene
-        self._sent = float("inf")
+    def __init__(self, host: str, robot: str, joints: Sequence[str], scene: Scene, account: tuple[str, str]) -> None:
+        self.host, self.robot, self.names, self.scene, self.account = host, robot, tuple(joints), scene, account
+        self._fastest = np.array(JOINT_SPEEDS.get(robot, (np.inf,) * len(self.names)))
+        self._api: _Api | None = None
+        self._transport: Any = None
+        self._session: Any = None
+        self._base: Any = None
+        self._cyclic: Any = None
+        self._line = threading.Lock()  # one request at a time: whether the router takes two is not said
+        self._lock, self._ended = threading.Lock(), threading.Event()
+        self._command: Command | None = None
+        self._sent, self._streamer = 0.0, None
+        self._told: float | None = None
+        self._trouble = ""
         self._measured = np.zeros(len(self.names))
         self._changed = Changes()
 
-    def connect(self) -> ArmInfo:
-        """See Driver."""
+    def listen(self) -> ArmInfo:
+        """As ``connect``, but the arm's servoing mode stays as it is, and nothing is ever sent.
+
+        Raises:
+            ToolkitError: kortex_api is not installed, or the arm does not answer or does not know the account.
+        """
+        self._api = api = _package()
+        self._transport = api.TCPTransport()
+        try:
+            self._transport.connect(self.host, PORT)
+            router = api.RouterClient(self._transport, api.RouterClient.basicErrorCallback)
+            wanted = api.Session_pb2.CreateSessionInfo()
+            wanted.username, wanted.password = self.account
+            wanted.session_inactivity_timeout, wanted.connection_inactivity_timeout = SESSION_TIMEOUT, CONNECTION_TIMEOUT
+            session = api.SessionManager(router)
+            session.CreateSession(wanted)
+            self._session = session
+            self._base, self._cyclic = api.BaseClient(router), api.BaseCyclicClient(router)
+        except api.errors as error:
+            self._leave()
+            raise ToolkitError(f"no Gen3 answers at {self.host} ({error}); is it on, and are user and password right?") from None
         return ArmInfo(self.robot, self.names, (), ("joint",), RATE)
+
+    def connect(self) -> ArmInfo:
+        """See Driver. Sets single-level servoing, and begins to feed the arm.
+
+        Raises:
+            ToolkitError: as of ``listen``; or the arm is in fault, or refuses the servoing mode.
+        """
+        info = self.listen()
+        try:
+            trouble = self._complaint(self._ask(self._cyclic.RefreshFeedback))
+            if trouble:
+                raise ToolkitError(f"the arm at {self.host} is not ready ({trouble}); clear it on the arm, by hand")
+            mode = self._api.Base_pb2.ServoingModeInformation()
+            mode.servoing_mode = self._api.Base_pb2.SINGLE_LEVEL_SERVOING
+            self._ask(self._base.SetServoingMode, mode)
+        except ToolkitError:
+            self._leave()
+            raise
+        self._ended.clear()
+        self._trouble, self._command, self._told = "", None, None
+        self._streamer = threading.Thread(target=self._stream, daemon=True)
+        self._streamer.start()
+        return info
 
     def read(self) -> State:
         """See Driver. Degrees from 0 to 360 become radians from -pi to pi. Kortex gives no time: a state is as old as the last change of
         any angle, speed or torque, whose noise never rests.
 
         Raises:
-            ToolkitError: another number of joints, or no gripper: Kortex gives empty lists for what is not there.
+            ToolkitError: the arm does not answer, has another number of joints, or no gripper: Kortex gives empty lists for what is not
+                there.
         """
-        feedback = self.cyclic.RefreshFeedback()
+        feedback = self._ask(self._cyclic.RefreshFeedback)
         position, quaternion, goal, stamp = self.scene()
         actuators, motors = feedback.actuators, feedback.interconnect.gripper_feedback.motor
         if len(actuators) != len(self.names):
@@ -72,47 +143,127 @@ class Kortex:
             raise ToolkitError("the arm reports no gripper; is one mounted, and set in the arm's own configuration?")
         changed = self._changed([(actuator.position, actuator.velocity, actuator.torque) for actuator in actuators])
         angles = np.radians([actuator.position for actuator in actuators])
-        self._measured = (angles + np.pi) % (2 * np.pi) - np.pi
+        measured = (angles + np.pi) % (2 * np.pi) - np.pi
+        with self._lock:
+            self._measured = measured
         return State(
-            min(stamp, changed), self._measured, position, quaternion, goal,
-            opening=1.0 - motors[0].position / 100.0,
+            min(stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
-            efforts=np.array([actuator.torque for actuator in actuators]),
+            efforts=np.array([actuator.torque for actuator in actuators], float), fault=self._trouble or self._complaint(feedback),
         )  # fmt: skip
 
+    def _complaint(self, feedback: Any) -> str:
+        """What the arm says of itself; empty if nothing. The base's own fault bits are no matter: they stay set after a fault is gone."""
+        if feedback.base.active_state == IN_FAULT:
+            return "in fault"
+        bad = [i for i, actuator in enumerate(feedback.actuators) if actuator.fault_bank_a or actuator.fault_bank_b]
+        return f"actuator {bad[0] + 1} is in fault" if bad else ""
+
     def send(self, command: Command) -> Command:
-        """See Driver.
+        """See Driver. The speeds go out 25 ms apart.
 
         Raises:
-            ToolkitError: another form than joint.
+            ToolkitError: another form than joint; or the arm has stopped, or refuses what the gripper is told.
         """
         if command.form != "joint":
             raise ToolkitError(f"this driver takes joint commands, not {command.form!r}")
-        self._sent = time.monotonic()
-        if command.hold:
-            self.base.Stop()
-            return command
-        lag = (command.target - self._measured + np.pi) % (2 * np.pi) - np.pi
-        speeds = self.messages.JointSpeeds()
-        for i, speed in enumerate(np.degrees(command.rate + CORRECTION * lag)):
-            joint = speeds.joint_speeds.add()
-            joint.joint_identifier, joint.value, joint.duration = i, float(speed), 0
-        self.base.SendJointSpeedsCommand(speeds)
-        gripper = self.messages.GripperCommand()
-        gripper.mode = self.messages.GRIPPER_POSITION
-        finger = gripper.gripper.finger.add()
-        finger.finger_identifier, finger.value = 1, 1.0 - command.opening
-        self.base.SendGripperCommand(gripper)
+        if self._trouble:
+            raise ToolkitError(f"the arm has stopped: {self._trouble}")
+        with self._lock:
+            self._command, self._sent = command, time.monotonic()
+        if not command.hold and (self._told is None or abs(command.opening - self._told) >= NEWS):
+            messages = self._api.Base_pb2
+            gripper = messages.GripperCommand()
+            gripper.mode = messages.GRIPPER_POSITION
+            finger = gripper.gripper.finger.add()
+            finger.finger_identifier, finger.value = 1, 1.0 - command.opening
+            self._ask(self._base.SendGripperCommand, gripper)
+            self._told = command.opening
         return command
-
-    def watch(self) -> bool:
-        """Stop the arm if no command has come lately; returns whether it did. Call it every 50 ms from a thread of its own."""
-        if not time.monotonic() - self._sent > WATCHDOG:
-            return False
-        self.stop("watchdog")
-        return True
 
     def stop(self, reason: str) -> None:
         """See Driver."""
-        self.base.Stop()
-        self._sent = float("inf")
+        self._trouble = self._trouble or reason
+        self._ended.set()
+        if self._streamer is not None and self._streamer is not threading.current_thread():
+            self._streamer.join(timeout=1.0)
+            try:
+                self._ask(self._base.Stop)
+            except ToolkitError:
+                pass  # it is gone: its own timeout stops it
+            self._streamer = None
+        self._leave()
+
+    def _stream(self) -> None:
+        """Feed the arm at its own rate until it is stopped."""
+        still, due = True, time.monotonic()
+        while not self._ended.is_set():
+            with self._lock:
+                command, age, measured = self._command, time.monotonic() - self._sent, self._measured
+            try:
+                if command is None or command.hold or age > WATCHDOG:
+                    if not still:
+                        self._ask(self._base.Stop)
+                        still = True
+                else:
+                    self._ask(self._base.SendJointSpeedsCommand, self._speeds(command, age, measured))
+                    still = False
+            except ToolkitError as error:
+                self._trouble = str(error)
+                return
+            due = max(due + 1.0 / RATE, time.monotonic())
+            self._ended.wait(max(0.0, due - time.monotonic()))
+
+    def _speeds(self, command: Command, age: float, measured: np.ndarray) -> Any:
+        """Kortex's message for the waypoint that is due. A next command that is late by less than a period does not make the arm falter;
+        after that only the lag is made up. Never beyond the maker's speeds."""
+        place = min(int(age * RATE), len(command.waypoints) - 1)
+        rate = command.rate if age < (len(command.waypoints) + 1) / RATE else np.zeros(len(self.names))
+        lag = (command.waypoints[place] - measured + np.pi) % (2 * np.pi) - np.pi
+        speeds = self._api.Base_pb2.JointSpeeds()
+        for i, speed in enumerate(np.degrees(np.clip(rate + CORRECTION * lag, -self._fastest, self._fastest))):
+            joint = speeds.joint_speeds.add()
+            joint.joint_identifier, joint.value, joint.duration = i, float(speed), 0
+        return speeds
+
+    def _ask(self, call: Any, *arguments: Any) -> Any:
+        """One request to the arm.
+
+        Raises:
+            ToolkitError: it is refused, or not answered.
+        """
+        try:
+            with self._line:
+                return call(*arguments)
+        except self._api.errors as error:
+            raise ToolkitError(f"the arm at {self.host} refuses or does not answer ({error})") from None
+
+    def _leave(self) -> None:
+        """End session and connection; may be called twice."""
+        session, transport, self._session, self._transport = self._session, self._transport, None, None
+        try:
+            if session is not None:
+                options = self._api.RouterClientSendOptions()
+                options.timeout_ms = 1000
+                session.CloseSession(options)
+        except self._api.errors:
+            pass  # the arm ends it by itself
+        if transport is not None:
+            transport.disconnect()
+
+
+def _package() -> _Api:
+    try:
+        from kortex_api.autogen.client_stubs.BaseClientRpc import BaseClient
+        from kortex_api.autogen.client_stubs.BaseCyclicClientRpc import BaseCyclicClient
+        from kortex_api.autogen.messages import Base_pb2, Session_pb2
+        from kortex_api.Exceptions.KClientException import KClientException
+        from kortex_api.Exceptions.KServerException import KServerException
+        from kortex_api.RouterClient import RouterClient, RouterClientSendOptions
+        from kortex_api.SessionManager import SessionManager
+        from kortex_api.TCPTransport import TCPTransport
+    except ImportError as error:
+        raise ToolkitError(f"the Gen3 driver needs Kinova's kortex_api ({error}); its wheel is on Kinova's own site, not on PyPI") from None
+    errors = (OSError, RuntimeError, KClientException, KServerException)
+    return _Api(TCPTransport, RouterClient, RouterClientSendOptions, SessionManager, BaseClient, BaseCyclicClient, Session_pb2, Base_pb2,
+                errors)  # fmt: skip

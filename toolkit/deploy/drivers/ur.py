@@ -72,6 +72,19 @@ class UniversalRobots:
         self._trouble = ""
         self._clock = DeviceClock()
 
+    def listen(self) -> ArmInfo:
+        """As ``connect``, but with the interface alone that reads: no program is started on the controller.
+
+        Raises:
+            ToolkitError: ur_rtde is not installed, or the controller does not answer.
+        """
+        _, receive = _package()
+        try:
+            self._receive = receive.RTDEReceiveInterface(self.host)
+        except RuntimeError as error:
+            raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on?") from None
+        return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
+
     def connect(self) -> ArmInfo:
         """See Driver.
 
