@@ -122,7 +122,9 @@ class Branch:
 
 
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
-_PLAIN = ("path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_drawn", "best_success")
+_PLAIN = (
+    "path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_drawn", "best_success",
+)  # fmt: skip
 
 
 def stored_branch(
