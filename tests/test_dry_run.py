@@ -180,11 +180,10 @@ def test_the_jacos_nominal_opening_is_its_preshape():
 
 
 def test_a_robot_pc_needs_neither_torch_nor_robosuite_for_it():
-    """Nor onnx, safetensors or SciPy: the page's own line of packages is enough to listen to an arm."""
+    """Nor onnx or safetensors: what the page's own line of packages brings is enough to listen to an arm."""
     code = """
-import subprocess
 import sys
-for name in ("torch", "robosuite", "onnx", "safetensors", "scipy", "pinocchio", "numba", "rerun"):
+for name in ("torch", "robosuite", "onnx", "safetensors", "pinocchio", "numba", "rerun"):
     sys.modules[name] = None  # not to be imported
 import time
 import numpy as np
