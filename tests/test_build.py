@@ -95,10 +95,10 @@ def test_f_is_cheap(merged, space, record_property):
         mujoco.mj_setConst(model, data)
         took["become"].append(became - started)
         took["mj_setConst"].append(time.thread_time() - became)
-    usual, floor = (1e3 * float(np.quantile(took[part], 0.25)) for part in ("become", "mj_setConst"))  # beside other work
-    record_property("milliseconds", usual)
+    median, floor = (1e3 * float(np.median(took[part])) for part in ("become", "mj_setConst"))
+    record_property("milliseconds", median)
     record_property("milliseconds_of_mj_setConst", floor)
-    assert usual < max(1.0, 10.0 * floor), f"F(alpha) takes {usual:.2f} ms, of which mj_setConst {floor:.2f} ms"
+    assert median < max(1.0, 8.0 * floor), f"F(alpha) takes {median:.2f} ms, of which mj_setConst {floor:.2f} ms"
 
 
 def test_an_alpha_outside_the_space_builds_nothing(merged, space):
