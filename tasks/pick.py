@@ -97,11 +97,17 @@ OBSERVATION_SCALE = np.concatenate(
 """Smallest scale (n_obs,) by which a policy normalises each entry, so that an entry that hardly moves on the source
 (or a joint that freezes) is never blown up."""
 
+
+def _by_number(declared: dict[str, float], record: dict[str, int]) -> np.ndarray:
+    """What is declared for entries of a record, for each of its numbers; 0 where nothing is."""
+    return np.concatenate([np.full(size, declared.get(name, 0.0)) for name, size in record.items()])
+
+
 EXPLORED: dict[str, float] = {"object_from_grasp": 0.012, "goal_from_object": 0.05}
 """Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
 where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An object
 that turned in the grasp, or hangs lower in it, is carried past the goal."""
-EXPLORED_DEVIATION = np.concatenate([np.full(size, EXPLORED.get(name, 0.0)) for name, size in OBSERVATION.items()])
+EXPLORED_DEVIATION = _by_number(EXPLORED, OBSERVATION)
 """The same as one vector (n_obs,), 0 where nothing is explored."""
 
 ACTION: dict[str, int] = {
@@ -115,7 +121,7 @@ ACTION_SIZE = sum(ACTION.values())
 RESPONDING: dict[str, float] = {"grasp_translation": 0.05}
 """Entries of the action whose response to what the policy meets a search may explore, and the standard deviation of it with which it
 begins, in the action's unit: on a gripper that closes slowly the hand has to wait for it."""
-RESPONDING_DEVIATION = np.concatenate([np.full(size, RESPONDING.get(name, 0.0)) for name, size in ACTION.items()])
+RESPONDING_DEVIATION = _by_number(RESPONDING, ACTION)
 """The same as one vector (n_act,), 0 where nothing is explored."""
 
 

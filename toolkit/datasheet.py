@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from grippers.gripper import COMMANDED_ROLES
@@ -20,7 +21,7 @@ from robots.robot import Robot
 from tasks.pick import START_ROTATION
 from toolkit.deploy.kinematics import HULL
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.manifest import Gripper, Response
+from toolkit.manifest import Gripper, Response, Vector
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
 from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
 from toolkit.simulation.plant import CLOSING, Plant
@@ -190,7 +191,7 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
         mujoco.mj_forward(model, data)
         gaps = [mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in outer["thumb"] for b in outer["fingers"]]
         openings.append(max(0.0, min(gaps)))
-        angles.append(tuple(float(v) for v in data.qpos[model.jnt_qposadr[fingers]]))
+        angles.append(vector(data.qpos[model.jnt_qposadr[fingers]]))
     openings = np.minimum.accumulate(openings)
     return Gripper(
         law="command = clip(command + rate * sign(action), -1, 1)", rate=float(robot.gripper.rate),
@@ -227,6 +228,11 @@ def plain_name(name: str) -> str:
     for prefix in PREFIXES:
         name = name.removeprefix(prefix)
     return name
+
+
+def vector(values: ArrayLike) -> Vector:
+    """Numbers of any shape, one after another, as the manifest holds them."""
+    return tuple(float(value) for value in np.ravel(values))
 
 
 def model_sha256(model: mujoco.MjModel) -> str:

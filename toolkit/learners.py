@@ -117,8 +117,10 @@ class SearchLearner:
         return Directions(self.explored, none if branch.features is None else branch.features)
 
     def improve(self, branch: Branch, player: Player, alpha: np.ndarray, success: float, holds: bool = False) -> bool:
-        """One update on the robot ``alpha`` (D,), where the policy's mean action was measured to have that ``success``; where it
-        ``holds`` already, a phase begins with deviations for polishing, where it succeeds sometimes with what the last phase came to.
+        """One update on the robot ``alpha`` (D,), where the policy's mean action was measured to have that ``success``.
+
+        A turn begins with the deviations that the last one came to; with those for polishing at most where the policy ``holds`` already;
+        and with the declared ones where it has no success.
 
         Mirrored steps of a pair play the same start, so that a pair's difference is the step's. The first batch of a phase ends after
         its first episodes if none succeeds, unless the policy itself does.
@@ -134,8 +136,8 @@ class SearchLearner:
         directions = self.directions(branch)
         declared = directions.deviation
         if branch.deviation is None:
-            width = 1.0 if success == 0 else min(branch.width, settings.polish if holds else 1.0)
-            branch.deviation = declared * width
+            begins = 1.0 if success == 0 else min(branch.width, settings.polish if holds else 1.0)
+            branch.deviation = declared * begins
             branch.centre = np.zeros_like(declared)
         deviation, centre = branch.deviation, branch.centre
         steps = mirrored(settings.batch_size // 2, len(declared), sampler.rng) * deviation
@@ -151,10 +153,11 @@ class SearchLearner:
         learned = success > 0 or bool(branch.trials.success.any())
         if learned:
             mean, spread = natural_step(branch.trials, centre, deviation, settings.prior, success, settings.batch_size)
-            branch.policy = directions.moved(branch.policy, deviation * mean)
-            branch.centre = centre + deviation * mean
-            spread = deviation * np.exp(settings.deviation_rate * spread)
-            branch.deviation = np.clip(spread, settings.narrowest * declared, settings.widest * declared)
+            step = deviation * mean
+            branch.policy, branch.centre = directions.moved(branch.policy, step), centre + step
+            branch.deviation = np.clip(
+                deviation * np.exp(settings.deviation_rate * spread), settings.narrowest * declared, settings.widest * declared
+            )
             cost.train_iterations += 1
         branch.updates += 1
         width = float((branch.deviation / declared).mean())

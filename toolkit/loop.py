@@ -18,7 +18,7 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import PickTask
-from toolkit.datasheet import plain_name
+from toolkit.datasheet import plain_name, vector
 from toolkit.manifest import (
     Actuator,
     ClosingProgress,
@@ -83,7 +83,7 @@ def read_simulation(robot: Robot, task: PickTask, plant: Plant, label: Success) 
     return Simulation(
         environment=f"{type(env).__module__}.{type(env).__name__} on robosuite's {type(env).__bases__[0].__name__}, {robot.arm} with "
                     f"{robot.gripper.robosuite_type}",
-        mount_position_m=_numbers(robot.base_position), osc=_osc(env), actuators=_actuators(env), closing_progress=_progress(plant),
+        mount_position_m=vector(robot.base_position), osc=_osc(env), actuators=_actuators(env), closing_progress=_progress(plant),
         materials=_materials(env), object_density_kg_m3=float(task.object.mass / task.object.volume), physics=_physics(model, task),
         sampling=_sampling(plant), starts=_starts(task, label), holding=_holding(task), stopping=_stopping(plant),
     )  # fmt: skip
@@ -104,8 +104,8 @@ def _osc(env: Pick) -> Osc:
         raise ValueError("robosuite's controller compensates for something else than MuJoCo's qfrc_bias")
     return Osc(
         config=_plain(robot.part_controller_config[PART]), goal_from=controller._goal_update_mode,
-        reference_frame=controller.input_ref_frame, base_position_m=_numbers(data.site_xpos[site]), base_quaternion=_numbers(quaternion),
-        decoupled=bool(controller.uncoupling), null_space=_null_space(controller.initial_joint), torque_limit_nm=_numbers(high),
+        reference_frame=controller.input_ref_frame, base_position_m=vector(data.site_xpos[site]), base_quaternion=vector(quaternion),
+        decoupled=bool(controller.uncoupling), null_space=_null_space(controller.initial_joint), torque_limit_nm=vector(high),
         compensation="gravity and Coriolis torques: MuJoCo's qfrc_bias",
         law=LAW if controller.uncoupling else COUPLED, orientation_error=ORIENTATION_ERROR,
     )  # fmt: skip
@@ -117,7 +117,7 @@ def _null_space(posture: np.ndarray) -> NullSpace:
     unit = np.eye(1)
     kp = float(nullspace_torques(unit, unit, one, none, none)[0])
     kd = -float(nullspace_torques(unit, unit, none, none, one)[0])
-    return NullSpace(_numbers(posture), kp, kd, NULL_LAW)
+    return NullSpace(vector(posture), kp, kd, NULL_LAW)
 
 
 def _plain(value: Any) -> Any:
@@ -156,7 +156,7 @@ def _actuators(env: Pick) -> tuple[Actuator, ...]:
             start=float(start[place]), sign=float(signs[place]), low=float(column[0]), high=float(column[-1]),
             nonlinearity=float(np.abs(column - straight).max()), stiffness=float(0.0 - model.actuator_biasprm[actuator, 1]),
             damping=float(0.0 - model.actuator_biasprm[actuator, 2]),
-            force=_numbers(model.actuator_forcerange[actuator]) if limited else None,
+            force=vector(model.actuator_forcerange[actuator]) if limited else None,
         ))  # fmt: skip
     return tuple(out)
 
@@ -182,7 +182,7 @@ def _materials(env: Pick) -> dict[str, Material]:
         elif not name.startswith(GRIPPER_PREFIX) or model.geom_group[geom] != 0:
             continue
         found[plain_name(name)] = Material(
-            _numbers(model.geom_friction[geom]), _numbers(model.geom_solref[geom]), _numbers(model.geom_solimp[geom]),
+            vector(model.geom_friction[geom]), vector(model.geom_solref[geom]), vector(model.geom_solimp[geom]),
             float(model.geom_margin[geom]), float(model.geom_gap[geom]), int(model.geom_condim[geom]), int(model.geom_priority[geom]),
         )  # fmt: skip
     return found
@@ -195,7 +195,7 @@ def _physics(model: mujoco.MjModel, task: PickTask) -> Physics:
         timestep_s=float(option.timestep), substeps=int(round(1.0 / task.control_frequency / option.timestep)),
         integrator=word(mujoco.mjtIntegrator, option.integrator, "mjINT_"), cone=word(mujoco.mjtCone, option.cone, "mjCONE_"),
         solver=word(mujoco.mjtSolver, option.solver, "mjSOL_"), iterations=int(option.iterations), tolerance=float(option.tolerance),
-        impratio=float(option.impratio), noslip_iterations=int(option.noslip_iterations), gravity_m_s2=_numbers(option.gravity),
+        impratio=float(option.impratio), noslip_iterations=int(option.noslip_iterations), gravity_m_s2=vector(option.gravity),
     )  # fmt: skip
 
 
@@ -238,7 +238,7 @@ def _starts(task: PickTask, label: Success) -> Starts:
         pose, goal = task.sample_start(np.random.default_rng(seed))
         if not np.allclose(goal - pose[:3], task.goal_offset, rtol=0.0, atol=1e-12):
             raise ValueError("the goal does not count from where the object starts, as the manifest says")
-        rows.append((*_numbers(pose[:3]), float(2.0 * np.arctan2(pose[6], pose[3])), *_numbers(goal)))
+        rows.append((*vector(pose[:3]), float(2.0 * np.arctan2(pose[6], pose[3])), *vector(goal)))
     noise = (task.noise_xy, task.noise_xy, float(task.noise_yaw))
     return Starts(
         generator="numpy.random.default_rng(seed), its uniform(low, high)", seed=label.seed, episodes=label.episodes,
@@ -290,7 +290,3 @@ def _stopping(plant: Plant) -> tuple[Stopping, ...]:
             longest = max(longest, int(still[-1]) + 1 if len(still) else 0)
         out.append(Stopping(float(action), max(speeds), farthest, longest / plant.task.control_frequency))
     return tuple(out)
-
-
-def _numbers(values: Any) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.ravel(values))

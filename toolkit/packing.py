@@ -28,7 +28,7 @@ from tasks.pick import (
 from toolkit import datasheet
 from toolkit.bundle import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
 from toolkit.claims import claim, give_up
-from toolkit.datasheet import Played
+from toolkit.datasheet import Played, vector
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
 from toolkit.export import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
@@ -214,7 +214,7 @@ def _write(
     export_onnx(policy, folder / ONNX, action_map, OBSERVATION, manifest.label(), words)
     export_onnx(policy, folder / FLAT_ONNX, action_map, OBSERVATION, manifest.label(), words, flat=True)
     policy.save(folder / SAFETENSORS)
-    export_actor(policy, folder / ACTOR, action_map, {"licence": manifest.licence, **{key: words[key] for key in ("observation_names",)},
+    export_actor(policy, folder / ACTOR, action_map, {"licence": manifest.licence, "observation_names": words["observation_names"],
                                                       "action_names": ",".join(ACTION_NAMES)})  # fmt: skip
     files |= {SCHEMA: _json(manifest_schema()), CONFIG: _json(policy_config(manifest))}
     for file, content in files.items():
@@ -340,9 +340,9 @@ def _robot_card(robot: Robot, plant: Plant, flange: str) -> RobotCard:
     mujoco.mju_mat2Quat(tool, np.ascontiguousarray(rotation @ data.site_xmat[site].reshape(3, 3)).ravel())
     return RobotCard(
         name=robot.name, arm=robot.arm, gripper=robot.gripper.robosuite_type, model_sha256=datasheet.model_sha256(model),
-        base_body=datasheet.plain_name(model.body(base).name), base_position_m=_numbers(data.xpos[base]),
-        base_quaternion=_numbers(data.xquat[base]), flange_body=flange,
-        tool_position_m=_numbers(rotation @ (data.site_xpos[site] - data.xpos[hand])), tool_quaternion=_numbers(tool),
+        base_body=datasheet.plain_name(model.body(base).name), base_position_m=vector(data.xpos[base]),
+        base_quaternion=vector(data.xquat[base]), flange_body=flange,
+        tool_position_m=vector(rotation @ (data.site_xpos[site] - data.xpos[hand])), tool_quaternion=vector(tool),
     )  # fmt: skip
 
 
@@ -360,7 +360,7 @@ def _controller(plant: Plant, base: tuple[bool, np.ndarray, np.ndarray], respons
     return Controller(
         type=osc.name, input="delta", goal="set once per policy step from the achieved pose", kp=float(osc.kp[0]),
         damping_ratio=float(osc.kd[0] / (2.0 * np.sqrt(osc.kp[0]))), translation_m=float(osc.output_max[0]),
-        rotation_rad=float(osc.output_max[3]), base_site=BASE_SITE, base_axis=_numbers(base[1]), base_anchor_m=_numbers(base[2]),
+        rotation_rad=float(osc.output_max[3]), base_site=BASE_SITE, base_axis=vector(base[1]), base_anchor_m=vector(base[2]),
         turns_with_first_joint=base[0], response=response,
     )  # fmt: skip
 
@@ -373,8 +373,8 @@ def _observation(calm: Played, noisy: Played) -> tuple[Observed, ...]:
         kind, part = name.split("/")[0], slice(at, at + size)
         unit, frame, meaning = OBSERVATION_MEANING[kind]
         jump = np.maximum(JUMP_MARGIN * any_step[part], JUMP_FLOOR[kind])
-        out.append(Observed(name, size, unit, frame, meaning, _numbers(rows[:, part].min(axis=0)), _numbers(rows[:, part].max(axis=0)),
-                            _numbers(step[part]), _numbers(jump)))  # fmt: skip
+        out.append(Observed(name, size, unit, frame, meaning, vector(rows[:, part].min(axis=0)), vector(rows[:, part].max(axis=0)),
+                            vector(step[part]), vector(jump)))  # fmt: skip
         at += size
     return tuple(out)
 
@@ -408,9 +408,9 @@ def _start(plant: Plant) -> Start:
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(START_ROTATION).ravel())
     return Start(
-        arm_rad=_numbers(qpos[model.jnt_qposadr[arm_joints(model)]]),
+        arm_rad=vector(qpos[model.jnt_qposadr[arm_joints(model)]]),
         fingers={datasheet.plain_name(model.joint(j).name): float(qpos[model.jnt_qposadr[j]]) for j in fingers},
-        grasp_position_m=_numbers(START_POSITION), grasp_quaternion=_numbers(quaternion), tolerance_rad=0.05, tolerance_m=0.02,
+        grasp_position_m=vector(START_POSITION), grasp_quaternion=vector(quaternion), tolerance_rad=0.05, tolerance_m=0.02,
         tolerance_rotation_rad=0.1,
     )  # fmt: skip
 
@@ -448,9 +448,9 @@ def _cartesian(calm: Played, rate: float) -> Cartesian:
     low[2] = rows[:, 2].min() - LOW_MARGIN
     room = min(CLEARANCE_MARGIN, 0.5 * calm.clearance) if calm.clearance > BRUSHING else CLEARANCE_MARGIN
     return Cartesian(
-        low=_numbers(low), high=_numbers(high),
-        speed=_numbers(np.maximum(SPEED_MARGIN * speed, np.repeat(CARTESIAN_SPEED_FLOOR, 3))),
-        acceleration=_numbers(np.maximum(ACCELERATION_MARGIN * push, np.repeat(CARTESIAN_ACCELERATION_FLOOR, 3))),
+        low=vector(low), high=vector(high),
+        speed=vector(np.maximum(SPEED_MARGIN * speed, np.repeat(CARTESIAN_SPEED_FLOOR, 3))),
+        acceleration=vector(np.maximum(ACCELERATION_MARGIN * push, np.repeat(CARTESIAN_ACCELERATION_FLOOR, 3))),
         lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(calm.clearance - room),
     )  # fmt: skip
 
@@ -479,8 +479,8 @@ def _task_card(task: PickTask) -> TaskCard:
     item = task.object
     shape = {"name": item.name, "shape": item.shape, "half_size_m": list(item.half_size), "mass_kg": item.mass}
     return TaskCard(
-        name=task.name, object=shape, object_xy_m=_numbers(OBJECT_XY), noise_xy_m=task.noise_xy, noise_yaw_rad=float(task.noise_yaw),
-        table_top_m=TABLE_TOP, table_size_m=TABLE_FULL_SIZE, goal_offset_m=_numbers(task.goal_offset), goal_tolerance_m=task.goal_tolerance,
+        name=task.name, object=shape, object_xy_m=vector(OBJECT_XY), noise_xy_m=task.noise_xy, noise_yaw_rad=float(task.noise_yaw),
+        table_top_m=TABLE_TOP, table_size_m=TABLE_FULL_SIZE, goal_offset_m=vector(task.goal_offset), goal_tolerance_m=task.goal_tolerance,
         hold_steps=task.hold_steps, horizon_steps=task.horizon, lost_below_m=LOST_BELOW,
     )  # fmt: skip
 
@@ -492,10 +492,6 @@ def _versions() -> dict[str, str]:
     if state:
         found["meta-evolve"] += f"+{state['commit'][:12]}" + (".dirty" if state["dirty"] else "")
     return found
-
-
-def _numbers(values: Any) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.ravel(values))
 
 
 def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from toolkit.branch import TURNS, Branch, Cost, stored_branch
+from toolkit.branch import Branch, Cost, stored_branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import MetaStep, Terminal, next_meta_robot
 from toolkit.evolution.bend import corner
@@ -410,7 +410,7 @@ class Transfer:
         return "stalled" if first and not learned and self.nearer(branch) else "training"
 
     def keep_best(self, branch: Branch, success: float) -> Outcome:
-        """Remember the policy if it is the phase's best; where a turn has brought no better one for long, return to it and end the turn.
+        """Of the search: remember the policy if it is the phase's best; return to it and end a turn that brought no better one for long.
 
         Offsets come first, then responses and the weights, if the best succeeds often enough to learn from. On the way another robot is
         tried after that; a target where nothing brought more is left with the best, if that would do on the way.
@@ -423,7 +423,7 @@ class Transfer:
             return "training"
         self.return_to_best(branch)
         branch.turns += 1
-        turns = self.search.turns if self.search is not None else TURNS
+        turns = self.search.turns
         on_the_way, over = branch.next_alpha is not None, branch.turns >= len(turns)
         if on_the_way and (over or (self.nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"

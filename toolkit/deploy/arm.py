@@ -10,6 +10,8 @@ from toolkit.manifest import Manifest
 
 Form = Literal["osc", "pose", "joint"]
 FORMS: tuple[Form, ...] = ("osc", "pose", "joint")
+NEWS = 0.005
+"""Change of the opening, 0 to 1, from which a gripper of a slow line is told."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Exploration in a few of the policy's own parameters, held for an episode: offsets of what it believes it sees.
+"""Exploration in a few of the policy's own parameters, held for an episode.
 
 White noise on the actions, twenty times a second, hardly moves a grasp: the policy's own feedback takes it back. Two things do,
 when they are the same for a whole episode, and both are parameters of the policy already:
@@ -37,7 +37,7 @@ class SearchConfig:
     batch_size: int = 16
     """Episodes of one update, in mirrored pairs."""
     prior: float = 1.0
-    """Successes that count for the offset as it is: a single one moves it half of the way."""
+    """Successes that count for the policy as it is: a single one moves it half of the way."""
     features: int = 4
     """Leading features that the actions respond to in the search's second turn."""
     reuse: int = 144

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
 from toolkit.deploy.drivers.stamps import Changes
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
@@ -34,8 +34,6 @@ SESSION_TIMEOUT, CONNECTION_TIMEOUT = 10_000, 2_000
 """[ms] without a word after which the arm itself ends the session, and the connection: as in Kinova's own examples."""
 IN_FAULT = 4
 """ARMSTATE_IN_FAULT of Kortex's ArmState."""
-NEWS = 0.005
-"""Change of the opening, 0 to 1, from which the gripper is told."""
 
 
 class _Api(NamedTuple):

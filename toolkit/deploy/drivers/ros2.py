@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
 from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.drivers.ur import Grip, Scene
 from toolkit.deploy.kinematics import matrix_of, quaternion_of
@@ -34,8 +34,6 @@ WATCHDOG = 0.2
 """[s] after a trajectory's end at which the controller gives it up (its cmd_timeout) and holds."""
 STATES, TRAJECTORY = "/joint_states", "/joint_trajectory_controller/joint_trajectory"
 """Topics, by ros2_control's usual names."""
-NEWS = 0.005
-"""Change of the opening, 0 to 1, from which the gripper is sent a new goal."""
 
 JOINT_NAMES: dict[str, tuple[str, ...]] = {
     "iiwa": tuple(f"lbr_A{i}" for i in range(1, 8)),  # lbr_fri_ros2_stack
