@@ -91,6 +91,36 @@ def engine(merged):
     made.close()
 
 
+@pytest.fixture(scope="session")
+def restless():
+    """seed -> a random policy, restless enough to reach the clip."""
+    from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE
+    from toolkit.expert import entry_names
+    from toolkit.learning.policy import GaussianPolicy
+
+    def make(seed):
+        rng = np.random.default_rng(seed)
+        policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), rng)
+        policy.set_parameters(0.4 * rng.standard_normal(len(policy.parameters)))
+        policy.set_normalisation(0.1 * rng.standard_normal(OBSERVATION_SIZE), OBSERVATION_SCALE)
+        return policy
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def wait_for():
+    """Wait until a condition holds; fails if it does not within seconds."""
+
+    def wait(condition, seconds=5.0):
+        limit = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < limit, "it never came"
+            time.sleep(0.002)
+
+    return wait
+
+
 @pytest.fixture
 def log_elsewhere(tmp_path, monkeypatch):
     """MuJoCo writes its warnings to MUJOCO_LOG.TXT where it runs."""

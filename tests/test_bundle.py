@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robots import ROBOTS
-from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE, is_lost
+from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE, is_lost
 from toolkit.bundle import FILES, MANIFEST, check_bundle, load_bundle
 from toolkit.datasheet import model_sha256
 from toolkit.deploy.kinematics import Kinematics
@@ -36,13 +36,8 @@ LABEL = Success(40, 30, 0.75, (0.59, 0.86), 10**9, "nowhere: a test")
 
 
 @pytest.fixture(scope="module")
-def policy():
-    """Random, and restless enough to reach the clip."""
-    rng = np.random.default_rng(0)
-    policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), rng)
-    policy.set_parameters(0.4 * rng.standard_normal(len(policy.parameters)))
-    policy.set_normalisation(0.1 * rng.standard_normal(OBSERVATION_SIZE), OBSERVATION_SCALE)
-    return policy
+def policy(restless):
+    return restless(0)
 
 
 @pytest.fixture(scope="module")

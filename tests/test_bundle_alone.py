@@ -19,11 +19,10 @@ from safetensors.torch import load_file
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.env import Pick
-from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE, START_POSITION, TABLE_FRICTION
+from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION, TABLE_FRICTION
 from toolkit.bundle import FILES, check_bundle, load_bundle, shipped_bundles
 from toolkit.errors import ToolkitError
 from toolkit.expert import entry_names
-from toolkit.learning.policy import GaussianPolicy
 from toolkit.manifest import Lineage, Success
 from toolkit.packing import write_bundle
 
@@ -33,12 +32,8 @@ ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="module")
-def policy():
-    rng = np.random.default_rng(5)
-    policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), rng)
-    policy.set_parameters(0.4 * rng.standard_normal(len(policy.parameters)))
-    policy.set_normalisation(0.1 * rng.standard_normal(OBSERVATION_SIZE), OBSERVATION_SCALE)
-    return policy
+def policy(restless):
+    return restless(5)
 
 
 @pytest.fixture(scope="module")

@@ -92,14 +92,7 @@ def arm(monkeypatch):
     driver.stop("test over")
 
 
-def wait_for(condition, seconds=5.0):
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "it never came"
-        time.sleep(0.002)
-
-
-def test_ur_streams_every_waypoint_at_the_arms_rate(arm):
+def test_ur_streams_every_waypoint_at_the_arms_rate(arm, wait_for):
     assert arm.info == ArmInfo("ur5e", JOINTS[:6], (), ("joint", "pose"), 500.0)
     control = arm.made["control"]
     assert control.frequency == 500.0 and control.watchdog == 10.0
@@ -117,7 +110,7 @@ def test_ur_streams_every_waypoint_at_the_arms_rate(arm):
     assert arm.moved == [(0.25, 0.02)]
 
 
-def test_ur_holds_of_itself_when_commands_cease(arm):
+def test_ur_holds_of_itself_when_commands_cease(arm, wait_for):
     arm.driver.send(joint_command(joints=ANGLES[:6]))
     control = arm.made["control"]
     wait_for(lambda: ("servoStop", ur.DECELERATION) in control.calls)
@@ -126,7 +119,7 @@ def test_ur_holds_of_itself_when_commands_cease(arm):
     assert len(control.calls) == count and control.kicks > 0, "still, and its own watchdog fed"
 
 
-def test_ur_holds_at_once_when_asked(arm):
+def test_ur_holds_at_once_when_asked(arm, wait_for):
     arm.driver.send(joint_command(joints=ANGLES[:6]))
     control = arm.made["control"]
     wait_for(lambda: control.calls)
@@ -135,7 +128,7 @@ def test_ur_holds_at_once_when_asked(arm):
     assert len(arm.moved) == 1, "a hold leaves the gripper alone"
 
 
-def test_ur_poses_are_rotation_vectors_in_the_controllers_base(arm):
+def test_ur_poses_are_rotation_vectors_in_the_controllers_base(arm, wait_for):
     """Half a turn about z lies between robosuite's base and the controller's; the point in space is the same."""
     command = pose_command()
     position, vector = np.split(np.array(arm.driver.pose(command.target)), 2)
@@ -156,7 +149,7 @@ def test_ur_reads_radians_newton_metres_and_its_own_stops(arm):
     assert arm.driver.read().fault == "protective stop"
 
 
-def test_ur_that_refuses_a_command_says_so(arm):
+def test_ur_that_refuses_a_command_says_so(arm, wait_for):
     arm.made["control"].accepts = False
     arm.driver.send(joint_command(joints=ANGLES[:6]))
     wait_for(lambda: arm.driver.read().fault)
@@ -318,7 +311,7 @@ def test_kortex_feeds_speeds_at_its_own_rate_and_the_arm_arrives(gen3, kinova):
     assert grips == [("gripper", 3, 1, 0.75)], "0 is open there, and it is told once"
 
 
-def test_kortex_never_asks_for_more_than_the_maker_allows(gen3, kinova):
+def test_kortex_never_asks_for_more_than_the_maker_allows(gen3, kinova, wait_for):
     far = ANGLES + 2.0
     kinova.read()
     kinova.send(Command("joint", False, far, np.full(7, 5.0), 0.0, 0.25, 0.02, np.repeat(far[None], 2, axis=0)))
@@ -337,7 +330,7 @@ def test_kortex_does_not_falter_when_a_command_is_a_little_late(gen3, kinova):
     np.testing.assert_allclose(behind, 0.1 * kortex.CORRECTION, atol=1e-9)
 
 
-def test_kortex_stops_of_itself_when_commands_cease(gen3, kinova):
+def test_kortex_stops_of_itself_when_commands_cease(gen3, kinova, wait_for):
     """The vendor's arm would go on for ever: the driver's thread is its watchdog."""
     kinova.read()
     rows = np.linspace(ANGLES, ANGLES + 0.01, 3)[1:]
@@ -351,7 +344,7 @@ def test_kortex_stops_of_itself_when_commands_cease(gen3, kinova):
     assert len(gen3.speeds) == count and gen3.calls.count(("stop",)) == stops == 1
 
 
-def test_kortex_holds_at_once_when_asked(gen3, kinova):
+def test_kortex_holds_at_once_when_asked(gen3, kinova, wait_for):
     kinova.read()
     kinova.send(joint_command(count=2))
     wait_for(lambda: gen3.speeds)
@@ -360,7 +353,7 @@ def test_kortex_holds_at_once_when_asked(gen3, kinova):
     assert not gen3.rate.any() and sum(call[0] == "gripper" for call in gen3.calls) == 1, "a hold leaves the gripper alone"
 
 
-def test_kortex_tells_faults_and_what_it_is_refused(gen3, kinova):
+def test_kortex_tells_faults_and_what_it_is_refused(gen3, kinova, wait_for):
     gen3.faults[2] = 16
     assert kinova.read().fault == "actuator 3 is in fault"
     gen3.faults[2], gen3.state = 0, kortex.IN_FAULT

@@ -29,14 +29,7 @@ def ros(ros):
     return ros
 
 
-def wait_for(condition, seconds=5.0):
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "it never came"
-        time.sleep(0.002)
-
-
-def test_the_node_reads_by_name_and_sends_to_the_controllers_topic(ros):
+def test_the_node_reads_by_name_and_sends_to_the_controllers_topic(ros, wait_for):
     moved = []
     arm, close = ros2.open_arm("kinova3", JOINTS, scene, lambda *to: moved.append(to), lambda: 0.5)
     assert arm.connect().joints == JOINTS
@@ -51,7 +44,7 @@ def test_the_node_reads_by_name_and_sends_to_the_controllers_topic(ros):
     assert ros.destroyed
 
 
-def test_a_node_that_only_listens_has_no_publisher(ros):
+def test_a_node_that_only_listens_has_no_publisher(ros, wait_for):
     arm, close = ros2.open_arm("kinova3", JOINTS, scene, listens=True)
     arm.listen()
     wait_for(lambda: arm._heard is not None)
