@@ -6,6 +6,7 @@ always the same, so a policy is one number, and the natural policy gradient has 
 along as the robots move: from 0.1 at the source to 0.96 at the meta robot, then to 1.36 or back to 0.47.
 """
 
+import dataclasses
 import itertools
 import json
 import math
@@ -991,6 +992,80 @@ def test_a_look_at_the_unmodified_robot_can_end_a_path_at_once(tmp_path):
     transfer.meta_evolve()
     assert not toy.calls and {call["stage"] for call in native.calls} == {"settle"} and not native.of(training=True)
     assert [r["event"] for r in records(transfer)] == ["look", "moved", "check", "arrived"]
+
+
+# ---- a tree that asks ------------------------------------------------------------------------------------------------
+
+
+class Carrying(Toy):
+    """A toy in which what holds on the right target holds on nearly all of the way from there to the left one."""
+
+    def one(self, actor, alpha, seed):
+        right, left = TARGETS[1].alpha, TARGETS[0].alpha
+        share = float((alpha - right) @ (left - right) / ((left - right) @ (left - right)))
+        near = np.linalg.norm(alpha - (right + share * (left - right))) < 1e-9
+        return super().one(actor, right if near and 0.0 <= share <= 0.8 else alpha, seed)
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory):
+    """A finished run of a tree that asks."""
+    transfer = transfer_of(tmp_path_factory.mktemp("asked") / "run", config(learner="search", kind="asking"), Carrying())
+    transfer.meta_evolve()
+    return transfer
+
+
+def test_a_target_is_left_for_from_where_a_policy_holds_nearest_to_it(asked):
+    assert set(asked.arrived) == {"left", "right"}
+    assert asked.routes["path 2"] == ["hand", "meta", "right", "left"]
+    (left,) = records(asked, "left")
+    assert (left["origin"], left["target"], left["share"]) == ("right", "left", 0.75)
+    between = TARGETS[1].alpha + 0.75 * (TARGETS[0].alpha - TARGETS[1].alpha)
+    first = next(r for r in records(asked, "moved") if r["path"] == "path 2")
+    assert first["distance"] == pytest.approx(np.linalg.norm(TARGETS[0].alpha - between)) and not first["trained"]
+
+
+def test_asking_costs_looks_and_no_training(asked):
+    """All that is played beside the looks is counted as without asking: every episode is in one of the two counts."""
+    costs = asked.costs.values()
+    assert sum(cost.sim_epochs + cost.check_episodes for cost in costs) == asked.engine.episodes
+    trained = sum(len(call["seeds"]) for call in asked.engine.of(True))
+    assert sum(cost.sim_epochs for cost in costs) == trained
+
+
+def test_where_no_other_policy_holds_the_tree_is_followed(tmp_path):
+    class Lonely(Toy):
+        def one(self, actor, alpha, seed):
+            found = super().one(actor, alpha, seed)
+            off_tree = min(alpha[1], TARGETS[0].alpha[1]) > META[1] + 1e-9 and alpha[2] > META[2] + 1e-9
+            return dataclasses.replace(found, success=found.success and not off_tree)
+
+    transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking"), Lonely())
+    transfer.meta_evolve()
+    assert transfer.routes["path 2"] == ["hand", "meta", "left"] and not records(transfer, "left")
+
+
+def test_a_path_that_stalls_lets_the_others_go_first(tmp_path):
+    transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking"), Toy())
+    branch = transfer.pending[-1]
+    first, second = transfer.part(branch, [frozenset(["left"]), frozenset(["right"])])
+    transfer.asking.asked = {"left": 1, "right": 1}  # nothing to ask anew
+    transfer.pending = [second, first]
+    first.begun, first.next_alpha = True, first.alpha + 0.02
+    transfer.try_nearer(first)
+    assert not first.begun and first.waits
+    transfer.choose(transfer.asking)
+    assert transfer.pending[-1] is second and second.begun
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_tree_that_asks_killed_and_resumed_is_the_same_run(tmp_path, asked, share):
+    settings = config(learner="search", kind="asking")
+    with pytest.raises(Killed):
+        transfer_of(tmp_path / "run", settings, Carrying(int(share * len(asked.engine.calls)))).meta_evolve()
+    again = transfer_of(tmp_path / "run", settings, Carrying(), resume=True)
+    again.meta_evolve()
+    assert_same_end(again, asked)
 
 
 class Valley(Toy):

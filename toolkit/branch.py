@@ -55,6 +55,9 @@ class Branch:
         stage: "evolve" on the tree, "settle" on the native robot.
         looked: whether this policy has looked along the way from here, and not moved by training since.
         hopes: (D,) robots ahead that are still to be trained for, on which it succeeded sometimes when it looked; the farthest first.
+        begun: whether it has been chosen to be played, of a tree that asks.
+        waits: whether it has stalled, and others go first.
+        strayed: whether it left from another robot than its tree's.
         turn: what is learned in this phase: "offset" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen, of the policy or of what was drawn around it.
@@ -81,6 +84,9 @@ class Branch:
     stage: Literal["evolve", "settle"] = "evolve"
     looked: bool = False
     hopes: list[np.ndarray] = field(default_factory=list)
+    begun: bool = False
+    waits: bool = False
+    strayed: bool = False
     turn: Turn = "offset"
     turns: int = 0
     idle: int = 0
@@ -123,7 +129,7 @@ class Branch:
 
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
 _PLAIN = (
-    "path", "targets", "window", "noise", "updates", "stage", "looked", "turn", "turns", "idle", "width", "best_drawn", "best_success",
+    "path", "targets", "window", "noise", "updates", "stage", "looked", "begun", "waits", "strayed", "turn", "turns", "idle", "width", "best_drawn", "best_success",
 )  # fmt: skip
 
 

@@ -54,7 +54,7 @@ class Result:
     def method(self) -> str:
         """What distinguishes this run from others but for its seed: tree, metric, step, path and learner."""
         report = self.report
-        kind = {"steiner": "tree", "geometric-median": "one meta robot"}.get(report["kind"], report["kind"])
+        kind = {"steiner": "tree", "geometric-median": "one meta robot", "asking": "tree that asks"}.get(report["kind"], report["kind"])
         metric = f", {report['metric'].upper()}" if self.shares else ""
         return f"{kind}{metric}, {self._steps}"
 

@@ -9,8 +9,8 @@ from toolkit.evolution import KINDS, METRICS, Kind, Metric
 from toolkit.learning.exploration import SearchConfig
 from toolkit.learning.npg import NpgConfig
 
-Method = Kind | Literal["direct"]
-METHODS: tuple[Method, ...] = (*KINDS, "direct")
+Method = Kind | Literal["asking", "direct"]
+METHODS: tuple[Method, ...] = (*KINDS, "asking", "direct")
 Bending = Literal["straight", "bent", "optimised"]
 PATHS: tuple[Bending, ...] = ("straight", "bent", "optimised")
 Learner = Literal["search", "npg"]
@@ -30,6 +30,7 @@ class TransferConfig:
 
     kind: Method = "steiner"
     """Evolution tree: "steiner", "geometric-median" (one meta robot) or "independent" (one path per target: HERD, REvolveR).
+    "asking" takes the shortest tree as its guess, and leaves from whichever robot's policy holds nearest to a target.
     "direct" has no evolution: the expert is trained on every target itself from the start, pulled by what it did on the
     source (DAPG)."""
     metric: Metric = "l1"
@@ -112,5 +113,7 @@ class TransferConfig:
 
     @property
     def tree_kind(self) -> Kind:
-        """The evolution tree that the method follows; without evolution the targets share nothing."""
+        """The evolution tree that the method follows, or begins with; without evolution the targets share nothing."""
+        if self.kind == "asking":
+            return "steiner"
         return "independent" if self.kind == "direct" else self.kind

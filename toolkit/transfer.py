@@ -2,6 +2,7 @@
 
     meta_evolve     Algorithm 1: the loop over phases, the split at meta robots, the recursion as a list of branches
     evolve          lines 4 and 5: choose the next robot on the way, train until the policy holds on it, go there
+    choose          of a tree that asks: which target is next, and from which robot
     look_ahead      whether the policy already holds farther on: at the end of its way, at the targets behind, in between
     steer           line 4: which way, straight to the meta robot or where the policy also earns more
     settle          the last hop: from F(beta) to the unmodified robosuite robot
@@ -17,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from toolkit.asking import Asking
 from toolkit.branch import Branch, Cost, stored_branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import MetaStep, Terminal, next_meta_robot
@@ -92,6 +94,10 @@ class Transfer:
         self.pending = [Branch("path 1", source.alpha, list(self.goals), policy, value)]
         self.routes = {"path 1": [source.name]}
         self._players: dict[str, Player] = {}
+        self.asking = None
+        if config.kind == "asking":
+            self.asking = Asking(config.metric, LOOKS, config.xi)
+            self.asking.offer(self.pending[0], [source.name])
 
     @property
     def costs(self) -> dict[str, Cost]:
@@ -103,6 +109,8 @@ class Transfer:
     def meta_evolve(self) -> dict[str, GaussianPolicy]:
         """Transfer the policy to every target; returns target name -> policy."""
         while self.pending:
+            if self.asking is not None and not self.pending[-1].begun:
+                self.choose(self.asking)
             branch = self.pending[-1]
             if branch.stage == "settle":
                 self.settle(branch)
@@ -126,7 +134,7 @@ class Transfer:
 
     def ahead(self, branch: Branch, step: MetaStep) -> np.ndarray:
         """Where the way to the meta robot goes straight from here (D,): to its corner, or to the meta robot."""
-        first = self.bends.get(frozenset(branch.targets))
+        first = None if branch.strayed else self.bends.get(frozenset(branch.targets))
         turn = None if first is None else corner(branch.alpha, step.meta_alpha, first)
         return step.meta_alpha if turn is None else turn
 
@@ -136,6 +144,8 @@ class Transfer:
 
     def split(self, branch: Branch, step: MetaStep) -> None:
         """Lines 10 to 12: one branch per subtree; targets reached get their own."""
+        if self.asking is not None:
+            self.asking.offer(branch, [*self.routes[branch.path], "meta"])
         self.part(branch, [*step.partition, *(frozenset([name]) for name in step.reached)])
 
     def part(self, branch: Branch, parts: Sequence[frozenset[str]]) -> list[Branch]:
@@ -187,7 +197,44 @@ class Transfer:
         self.pending.pop()
         self.arrived[branch.targets[0]] = branch.policy
         self.routes[branch.path].append(branch.targets[0])
+        if self.asking is not None:
+            self.asking.offer(branch, self.routes[branch.path])
         self.sampler.say("arrived", branch, target=branch.targets[0])
+
+    def choose(self, asking: Asking) -> None:
+        """Make the branch with the least left to its meta robot the next; a target to which somebody's policy leaves less goes first, from there.
+
+        Of branches that have stalled none goes before the others.
+        """
+        choices = []
+        for index, branch in enumerate(self.pending):
+            own = asking.distance(branch.alpha, self.evolution_tree(branch).meta_alpha)
+            choices.append((branch.waits, own, index, None))
+            for name in branch.targets if own > 0 else ():
+                leap = asking.best(name, self.goals[name], branch.path, lambda probe, robot: self.look(probe, self.engine, robot)[0])
+                choices.append((branch.waits and leap.left >= own, leap.left, index, name))
+        *_, index, name = min(choices, key=lambda choice: choice[:2])
+        branch = self.pending.pop(index)
+        self.pending.append(branch)
+        if name is not None:
+            if len(branch.targets) > 1:
+                branch = next(b for b in self.part(branch, [frozenset(branch.targets) - {name}, {name}]) if b.targets == [name])
+                self.pending.append(self.pending.pop(self.pending.index(branch)))
+            self.leave_from(branch, asking)
+        branch.begun, branch.waits = True, False
+
+    def leave_from(self, branch: Branch, asking: Asking) -> None:
+        """Take the branch's only target up from the robot that answered best, at where its policy holds."""
+        name = branch.targets[0]
+        leap = asking.leaps[name]
+        origin, goal = asking.origins[leap.origin], self.goals[name]
+        branch.strayed = bool(np.linalg.norm(origin.alpha - branch.alpha) > 1e-9)
+        branch.alpha, branch.policy, branch.value = origin.alpha, origin.policy.copy(), origin.value.copy()
+        branch.noise, branch.width = origin.noise, 1.0
+        self.routes[branch.path] = list(asking.routes[leap.origin])
+        self.sampler.say("left", branch, origin=self.routes[branch.path][-1], target=name, share=leap.share, left=leap.left)
+        robot = goal if leap.share == 1.0 else origin.alpha + leap.share * (goal - origin.alpha)
+        self.move(branch, robot, float(np.linalg.norm(robot - origin.alpha)), trained=False)
 
     # ---- lines 4 and 5: one phase ------------------------------------------------------------------------------
 
@@ -229,6 +276,8 @@ class Transfer:
         else:
             branch.looked = False  # the policy has changed since
             branch.begin_phase()
+            if self.asking is not None and len(self.pending) > 1:
+                branch.begun, branch.waits = False, True  # others may reach a robot from which it is easier
 
     def look_ahead(self, branch: Branch, step: MetaStep) -> None:
         """Go at once to the farthest robot on which the policy holds already, if there is any.
@@ -456,10 +505,14 @@ class Transfer:
         for name, policy in self.arrived.items():
             tensors |= network_tensors(f"arrived.{name}", policy)
         sampler = self.sampler
+        asking = {}
+        if self.asking is not None:
+            tensors |= self.asking.tensors()
+            asking = {"asking": self.asking.state()}
         state = {
             "pending": [branch.state() for branch in self.pending], "arrived": list(self.arrived), "routes": self.routes,
             "records": sampler.records, "costs": {path: asdict(cost) for path, cost in self.costs.items()},
-            "rng": generator_state(sampler.rng), "seconds": sampler.seconds, "spent": sampler.spent,
+            "rng": generator_state(sampler.rng), "seconds": sampler.seconds, "spent": sampler.spent, **asking,
         }  # fmt: skip
         self.run.save_checkpoint("transfer", tensors, state)
 
@@ -487,6 +540,8 @@ class Transfer:
         for name in state["arrived"]:
             self.arrived[name] = model.copy()
             load_network(tensors, f"arrived.{name}", self.arrived[name])
+        if self.asking is not None:
+            self.asking.restore(tensors, state["asking"], model, critic)
         sampler = self.sampler
         sampler.costs = {path: Cost(**cost) for path, cost in state["costs"].items()}
         self.routes, sampler.records = state["routes"], state["records"]

@@ -83,6 +83,7 @@ SUITES: dict[str, dict[str, Entry]] = {
         # The same expert, by exploration held for an episode.
         **{f"found-tree-{seed}": replace(FOUND, seed=seed) for seed in range(3)},
         **{f"found-independent-{seed}": replace(FOUND, seed=seed, kind="independent") for seed in range(3)},
+        **{f"found-asking-{seed}": replace(FOUND, seed=seed, kind="asking") for seed in range(3)},
         # Two jaws that differ: a Robotiq 2F-85 and a 2F-140.
         **{f"found-jaws-{seed}": replace(FOUND, seed=seed, targets=JAWS) for seed in range(3)},
         **{f"found-jaws-independent-{seed}": replace(FOUND, seed=seed, targets=JAWS, kind="independent") for seed in range(3)},

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from toolkit.pipeline import Lab
 
 Kind = Literal["steiner", "geometric-median", "independent"]
-Method = Kind | Literal["direct"]
+Method = Kind | Literal["asking", "direct"]
 Metric = Literal["l1", "l2"]
 TARGETS = ("jaco", "kinova3", "iiwa")
 TASK = "061_foam_brick"

@@ -141,7 +141,8 @@ def transfer(
         source: the robot that the expert was trained on.
         targets: where the policy should go.
         task: what it does; "<object>-wide" starts within 5 cm and 30 degrees instead of 1 cm.
-        kind: evolution tree: steiner, geometric-median or independent paths; direct trains on the targets without evolution.
+        kind: evolution tree: steiner, geometric-median or independent paths; asking: the shortest tree, left where a robot reached
+            is a better start, as looks tell; direct trains on the targets without evolution.
         metric: distance between robots.
         step: adaptive (farthest robot on which the policy holds) or fixed (length xi, as in the paper).
         path: straight to the meta robot (REvolveR); bent: one side of the grasp before the other on edges where both at once lead
