@@ -129,7 +129,8 @@ class Branch:
 
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
 _PLAIN = (
-    "path", "targets", "window", "noise", "updates", "stage", "looked", "begun", "waits", "strayed", "turn", "turns", "idle", "width", "best_drawn", "best_success",
+    "path", "targets", "window", "noise", "updates", "stage", "looked", "begun", "waits", "strayed",
+    "turn", "turns", "idle", "width", "best_drawn", "best_success",
 )  # fmt: skip
 
 

@@ -202,9 +202,9 @@ class Transfer:
         self.sampler.say("arrived", branch, target=branch.targets[0])
 
     def choose(self, asking: Asking) -> None:
-        """Make the branch with the least left to its meta robot the next; a target to which somebody's policy leaves less goes first, from there.
+        """Make the branch with the least left to its meta robot the next; a target to which some policy leaves less goes first, from there.
 
-        Of branches that have stalled none goes before the others.
+        Branches that have stalled come last.
         """
         choices = []
         for index, branch in enumerate(self.pending):
