@@ -1,5 +1,6 @@
 """The audit tells sound robots from broken ones, and names what broke them; the robots in between keep the promise on a sample."""
 
+import itertools
 import json
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.pick import ACTION_SIZE, START_ROTATION
-from toolkit.capability.audit import SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
+from toolkit.capability.audit import LEADS, SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
 from toolkit.capability.bench import Bench, Capability
 from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
@@ -163,7 +164,7 @@ def test_nothing_is_wrong_between_two_linkages(lab, tmp_path):
     assert not [v for v in edge.violations if v.quantity in ("grip_n", "script")], [v.sentence() for v in edge.violations]
     assert max(grips) <= 1.25 * max(r.grip_n for r in edge.ends), grips
     content = [edge.to_json()]
-    assert set(content[0]) == {"from", "to", "first", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
+    assert set(content[0]) == {"from", "to", "first", "lead", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
     json.dumps(content, allow_nan=False)
     save_audit(content, tmp_path / "audit.png")
     assert (tmp_path / "audit.png").stat().st_size > 10_000
@@ -187,15 +188,16 @@ def test_where_both_sides_at_once_cannot_hold_one_goes_first(lab, tmp_path):
 def test_a_bent_way_is_as_long_in_l1_and_goes_through_its_corner(lab):
     first, last = lab.space.beta("kinova3"), lab.space.beta("jaco")
     way = Way("kinova3", "jaco", first, last)
-    for side in SIDES:
-        bent = way.bent(lab.space, side)
+    for side, lead in itertools.product(SIDES, LEADS):
+        bent = way.bent(lab.space, side, lead)
         places = np.array([bent.at(share) for share in np.linspace(0.0, 1.0, 101)])
         assert np.abs(np.diff(places, axis=0)).sum() == pytest.approx(np.abs(last - first).sum())
         np.testing.assert_allclose(places[[0, -1]], [first, last], atol=1e-12)
         mine = lab.space.side(side)
         others = np.setdiff1d(np.arange(lab.space.size), mine)
         settled = np.abs(places[:, mine] - last[mine]).max(axis=1) < 1e-9
-        assert np.all(settled | (np.abs(places[:, others] - first[others]).max(axis=1) < 1e-9))
+        gone = np.abs(places[:, others] - first[others]).sum(axis=1) / np.abs(last - first)[others].sum()
+        assert np.all(settled | (gone < 1.0 - lead + 1e-9)) and np.all(~settled | (gone > 1.0 - lead - 1e-9))
     assert Way("here", "here", first, first).bent(lab.space, "thumb") is None
     assert not set(lab.space.side("thumb")) & set(lab.space.side("fingers"))
 

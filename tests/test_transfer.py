@@ -18,6 +18,7 @@ import pytest
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS
 from toolkit.evolution import Terminal, evolution_tree
+from toolkit.evolution.bend import Bend
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored, SearchConfig
 from toolkit.learning.npg import NpgConfig
@@ -498,7 +499,8 @@ def test_adaptive_steps_never_skip_a_robot_on_which_they_do_not_hold(finished):
 def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
     """On the way to the left its second parameter goes first, in steps that never cut the corner; to the meta robot all go at once."""
     toy = Toy()
-    transfer = transfer_of(tmp_path / "run", config(step="fixed", xi=0.1), toy, bends={frozenset(["left", "right"]): np.array([1])})
+    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]))}
+    transfer = transfer_of(tmp_path / "run", config(step="fixed", xi=0.1), toy, bends=bends)
     transfer.meta_evolve()
     assert set(transfer.arrived) == {"left", "right"}
     places = [call["next"] for call in toy.calls if call["path"] == "path 1" and call["next"] is not None]
@@ -512,8 +514,9 @@ def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
                 assert share_on_segment(call["next"][None], META, end)[1] < 1e-9
 
 
-def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path):
-    bends = {frozenset(["left", "right"]): np.array([1])}
+@pytest.mark.parametrize("lead", [1.0, 0.5])
+def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path, lead):
+    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]), lead)}
     whole = transfer_of(tmp_path / "whole", config(step="fixed", xi=0.1), Toy(), bends=bends)
     whole.meta_evolve()
     broken = transfer_of(tmp_path / "broken", config(step="fixed", xi=0.1), Toy(kill_after=9), bends=bends)
@@ -523,6 +526,19 @@ def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path):
     again.meta_evolve()
     for name in ("left", "right"):
         np.testing.assert_array_equal(again.arrived[name].parameters, whole.arrived[name].parameters)
+
+
+def test_a_part_of_a_lead_turns_once_and_where_the_edge_does(tmp_path):
+    """The second parameter arrives when the others have gone half of their way, however many phases it takes."""
+    toy = Toy()
+    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]), 0.5)}
+    transfer = transfer_of(tmp_path / "run", config(step="fixed", xi=0.1), toy, bends=bends)
+    transfer.meta_evolve()
+    places = [call["next"] for call in toy.calls if call["path"] == "path 1" and call["next"] is not None]
+    turn = np.where(np.arange(3) == 1, META, 0.5 * META)
+    off = [min(share_on_segment(place[None], *leg)[1].item() for leg in ((SOURCE.alpha, turn), (turn, META))) for place in places]
+    assert len(places) > 3 and max(off) < 1e-9, off
+    assert any(np.allclose(place, turn) for place in places)
 
 
 def test_the_adaptive_step_leaps_where_it_can(tmp_path):
@@ -1010,7 +1026,8 @@ class Carrying(Toy):
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory):
     """A finished run of a tree that asks."""
-    transfer = transfer_of(tmp_path_factory.mktemp("asked") / "run", config(learner="search", kind="asking"), Carrying())
+    settings = config(learner="search", kind="asking", allowance=10_000)
+    transfer = transfer_of(tmp_path_factory.mktemp("asked") / "run", settings, Carrying())
     transfer.meta_evolve()
     return transfer
 
@@ -1045,27 +1062,60 @@ def test_where_no_other_policy_holds_the_tree_is_followed(tmp_path):
     assert transfer.routes["path 2"] == ["hand", "meta", "left"] and not records(transfer, "left")
 
 
-def test_a_path_that_stalls_lets_the_others_go_first(tmp_path):
+class Trap(Toy):
+    """A toy that lets nobody through on the tree's way to the left target; the one from the source passes by."""
+
+    def one(self, actor, alpha, seed):
+        trapped = np.linalg.norm(alpha[:2] - META[:2]) < 0.5 and alpha[2] > 0.55 * alpha[0] + 0.15 and alpha[2] < 0.8
+        found = super().one(actor, alpha, seed)
+        return dataclasses.replace(found, success=found.success and not trapped)
+
+
+RACED = config(learner="search", kind="asking", allowance=16)
+
+
+@pytest.fixture(scope="module")
+def raced(tmp_path_factory):
+    """A finished run of a tree that asks, in which two paths raced."""
+    transfer = transfer_of(tmp_path_factory.mktemp("raced") / "run", RACED, Trap())
+    transfer.meta_evolve()
+    return transfer
+
+
+def test_a_path_that_costs_much_is_raced_from_the_source(raced):
+    """One of the two arrives, the other is given up; all of both is counted."""
+    rivals = [r for r in records(raced, "split") if "rival" in r]
+    gone = {r["path"] for r in records(raced, "overtaken")}
+    assert set(raced.arrived) == {"left", "right"} and rivals and not raced.pending
+    for record in rivals:
+        assert len({record["path"], record["rival"]} & gone) == 1, "one of the two is given up"
+        assert raced.routes[record["path"]][0] == "hand"
+    assert sum(cost.sim_epochs + cost.check_episodes for cost in raced.costs.values()) == raced.engine.episodes
+
+
+def test_branches_take_turns_by_what_they_promise(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking"), Toy())
-    branch = transfer.pending[-1]
-    first, second = transfer.part(branch, [frozenset(["left"]), frozenset(["right"])])
-    transfer.asking.asked = {"left": 1, "right": 1}  # nothing to ask anew
-    transfer.pending = [second, first]
-    first.begun, first.next_alpha = True, first.alpha + 0.02
-    transfer.try_nearer(first)
-    assert not first.begun and first.waits
+    slow, quick = transfer.part(transfer.pending[-1], [frozenset(["left"]), frozenset(["right"])])
+    transfer.pending = [quick, slow]
+    transfer.asking.raced = ["left", "right"]
+    for branch, gone, spent in ((slow, 0.1, 70), (quick, 0.5, 70)):
+        transfer.begin(branch, transfer.asking)
+        branch.alpha = gone * transfer.goals[branch.targets[0]]
+        transfer.costs[branch.path].sim_epochs = spent
+    assert transfer.may_change(slow)
     transfer.choose(transfer.asking)
-    assert transfer.pending[-1] is second and second.begun
+    assert transfer.pending[-1] is quick and quick.allowance == 140
+    transfer.costs[quick.path].sim_epochs = 100
+    assert not transfer.may_change(quick)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_a_tree_that_asks_killed_and_resumed_is_the_same_run(tmp_path, asked, share):
-    settings = config(learner="search", kind="asking")
+def test_a_tree_that_asks_killed_and_resumed_is_the_same_run(tmp_path, raced, share):
     with pytest.raises(Killed):
-        transfer_of(tmp_path / "run", settings, Carrying(int(share * len(asked.engine.calls)))).meta_evolve()
-    again = transfer_of(tmp_path / "run", settings, Carrying(), resume=True)
+        transfer_of(tmp_path / "run", RACED, Trap(int(share * len(raced.engine.calls)))).meta_evolve()
+    again = transfer_of(tmp_path / "run", RACED, Trap(), resume=True)
     again.meta_evolve()
-    assert_same_end(again, asked)
+    assert_same_end(again, raced)
 
 
 class Valley(Toy):

@@ -3,7 +3,8 @@
 The shortest tree says which robots lie between others, not whose policy carries over: that of one jaw may hold on half the way to a
 hand of three fingers on which every meta robot's fails. So whenever a path is to begin, every robot on which there is a policy (the
 source, meta robots, targets reached) is asked how far that policy holds on the straight way to each target that is left, by looks of
-a batch each. The tree is the guess that the answers have to beat.
+a batch each. The tree is the guess that the answers have to beat. What has settled on one gripper may be hard to bring to another: a path
+that costs much is raced against one from the source.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,6 +47,8 @@ class Asking:
         routes: names of the robots on the way to each, itself included.
         leaps: target -> the best answer.
         asked: target -> robots that have answered.
+        raced: targets to which a path from the source has been begun.
+        corners: path -> what is left of its way [alpha] after the corner at which its own policy holds.
     """
 
     def __init__(self, metric: Metric, shares: Sequence[float], xi: float) -> None:
@@ -54,6 +57,8 @@ class Asking:
         self.routes: list[list[str]] = []
         self.leaps: dict[str, Leap] = {}
         self.asked: dict[str, int] = {}
+        self.raced: list[str] = []
+        self.corners: dict[str, float] = {}
 
     def offer(self, branch: Branch, route: Sequence[str]) -> None:
         """The robot where ``branch`` stands can be left from, by its policy."""
@@ -88,6 +93,21 @@ class Asking:
         self.leaps[target], self.asked[target] = best, len(self.origins)
         return best
 
+    def left(self, branch: Branch, turn: np.ndarray | None, goal: np.ndarray, holds: Callable[[Branch, np.ndarray], bool]) -> float:
+        """What the tree's own way leaves to ``goal`` (D,): from the corner ``turn`` (D,) on, if the branch's policy holds there already."""
+        length = self.distance(branch.alpha, goal)
+        if turn is None:
+            return length
+        if branch.path not in self.corners:
+            self.corners[branch.path] = self.distance(turn, goal) if holds(branch, turn) else np.inf
+        return min(length, self.corners[branch.path])
+
+    def promise(self, branch: Branch, goal: np.ndarray, spent: int) -> float:
+        """Training episodes that a branch's way to ``goal`` (D,) will still take, at the rate of the ``spent`` ones so far."""
+        assert branch.began is not None
+        left = self.distance(branch.alpha, goal)
+        return left * (spent + 1) / max(branch.began - left, 1e-9)
+
     def tensors(self) -> dict[str, np.ndarray]:
         """Its arrays, for a checkpoint."""
         return {key: array for i, origin in enumerate(self.origins) for key, array in origin.tensors(f"origin.{i}").items()}
@@ -95,12 +115,15 @@ class Asking:
     def state(self) -> dict[str, Any]:
         """All else, as JSON values."""
         leaps = {target: asdict(leap) for target, leap in self.leaps.items() if leap.origin >= 0}
-        return {"origins": [origin.state() for origin in self.origins], "routes": self.routes, "leaps": leaps, "asked": self.asked}
+        return {"origins": [origin.state() for origin in self.origins], "routes": self.routes, "leaps": leaps, "asked": self.asked,
+                "raced": self.raced,
+                "corners": {path: left if np.isfinite(left) else None for path, left in self.corners.items()}}  # fmt: skip
 
     def restore(
         self, tensors: dict[str, np.ndarray], state: Mapping[str, Any], policy: GaussianPolicy, value: ValueFunction
     ) -> None:
         """Take up what `tensors` and `state` gave out; ``policy`` and ``value`` are networks of the same sizes."""
         self.origins = [stored_branch(tensors, f"origin.{i}", saved, policy, value) for i, saved in enumerate(state["origins"])]
-        self.routes, self.asked = state["routes"], state["asked"]
+        self.routes, self.asked, self.raced = state["routes"], state["asked"], state["raced"]
+        self.corners = {path: np.inf if left is None else left for path, left in state["corners"].items()}
         self.leaps = {target: Leap(**leap) for target, leap in state["leaps"].items()}

@@ -55,8 +55,8 @@ class Branch:
         stage: "evolve" on the tree, "settle" on the native robot.
         looked: whether this policy has looked along the way from here, and not moved by training since.
         hopes: (D,) robots ahead that are still to be trained for, on which it succeeded sometimes when it looked; the farthest first.
-        begun: whether it has been chosen to be played, of a tree that asks.
-        waits: whether it has stalled, and others go first.
+        began: what was left of its way [alpha] when a tree that asks chose it; None: it waits.
+        allowance: training episodes of its path from which on it is compared with others.
         strayed: whether it left from another robot than its tree's.
         turn: what is learned in this phase: "offset" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
@@ -84,8 +84,8 @@ class Branch:
     stage: Literal["evolve", "settle"] = "evolve"
     looked: bool = False
     hopes: list[np.ndarray] = field(default_factory=list)
-    begun: bool = False
-    waits: bool = False
+    began: float | None = None
+    allowance: int = 0
     strayed: bool = False
     turn: Turn = "offset"
     turns: int = 0
@@ -129,7 +129,7 @@ class Branch:
 
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
 _PLAIN = (
-    "path", "targets", "window", "noise", "updates", "stage", "looked", "begun", "waits", "strayed",
+    "path", "targets", "window", "noise", "updates", "stage", "looked", "began", "allowance", "strayed",
     "turn", "turns", "idle", "width", "best_drawn", "best_success",
 )  # fmt: skip
 

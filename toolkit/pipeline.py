@@ -16,6 +16,7 @@ from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
+from toolkit.evolution.bend import Bend
 from toolkit.expert import POLICY_FILE, load_expert
 from toolkit.jsonfiles import read_object
 from toolkit.learning.episode import Episode
@@ -282,10 +283,12 @@ class Pipeline:
         self.run.write_json("audit", {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]})
         self.watch({"event": "audited", "verdict": verdict(edges)})
 
-    def _bends(self) -> dict[frozenset[str], np.ndarray]:
-        """Targets behind each edge that is not straight -> the parameters that go first on it, as the audit found it best."""
+    def _bends(self) -> dict[frozenset[str], Bend]:
+        """Targets behind each edge that is not straight -> how it turns, as the audit found it best."""
         below, edges = Plan(self.tree.to_json()).below, read_audit(self.run.path)["edges"]
-        return {below[edge["to"]]: self.lab.space.side(edge["first"]) for edge in edges if edge.get("first") in SIDES}
+        alphas = {node.name: node.alpha for node in self.tree.nodes}
+        return {below[edge["to"]]: Bend(alphas[edge["from"]], self.lab.space.side(edge["first"]), edge.get("lead", 1.0))
+                for edge in edges if edge.get("first") in SIDES}  # fmt: skip
 
     def _stalled(self, branch: Branch) -> None:
         """Ask of a path whose budget is spent what changes on the robots where it stands."""

@@ -81,6 +81,9 @@ class TransferConfig:
     """Episodes of one measurement of success at a target."""
     check_every: int = 4
     """NPG: updates between two measurements in a phase; the search measures after every one."""
+    allowance: int = 64
+    """Asking: training episodes of a path to a target after which another sets out from the source; they take turns by what each promises
+    still to cost, for twice as many every time."""
     path_budget: int = 20_000
     """Simulation epochs after which a path goes on to its end untrained; what it then reaches is measured, not assumed."""
     native: bool = True
@@ -101,7 +104,7 @@ class TransferConfig:
         if not 0 < self.pull < math.inf:
             raise ToolkitError(f"transfer's pull is {self.pull}; give a positive number")
         for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0),
-                          ("jacobian_episodes", 2), ("demonstrations", 0), ("patience", 1)):  # fmt: skip
+                          ("jacobian_episodes", 2), ("demonstrations", 0), ("patience", 1), ("allowance", 1)):  # fmt: skip
             if getattr(self, name) < low:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
         for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("kind", METHODS), ("metric", METRICS),

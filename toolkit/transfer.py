@@ -22,7 +22,7 @@ from toolkit.asking import Asking
 from toolkit.branch import Branch, Cost, stored_branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import MetaStep, Terminal, next_meta_robot
-from toolkit.evolution.bend import corner
+from toolkit.evolution.bend import Bend
 from toolkit.learners import SearchLearner, WeightLearner
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored
@@ -55,7 +55,7 @@ class Transfer:
         run: folder for metrics and checkpoints.
         report, witness: as for Sampler.
         explored: what the learner "search" explores, and how far.
-        bends: targets behind an edge -> indices of the evolution parameters that go first on it; the other edges are straight.
+        bends: targets behind an edge -> how it turns; the other edges are straight.
 
     Attributes:
         arrived: target -> its policy.
@@ -76,7 +76,7 @@ class Transfer:
         report: Callable[[dict[str, Any], Branch], None] = lambda record, branch: None,
         witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
         explored: Explored | None = None,
-        bends: Mapping[frozenset[str], np.ndarray] | None = None,
+        bends: Mapping[frozenset[str], Bend] | None = None,
     ) -> None:
         self.config, self.engine, self.native, self.run = config, engine, native, run
         self.bends = bends or {}
@@ -109,7 +109,7 @@ class Transfer:
     def meta_evolve(self) -> dict[str, GaussianPolicy]:
         """Transfer the policy to every target; returns target name -> policy."""
         while self.pending:
-            if self.asking is not None and not self.pending[-1].begun:
+            if self.asking is not None and self.may_change(self.pending[-1]):
                 self.choose(self.asking)
             branch = self.pending[-1]
             if branch.stage == "settle":
@@ -134,8 +134,8 @@ class Transfer:
 
     def ahead(self, branch: Branch, step: MetaStep) -> np.ndarray:
         """Where the way to the meta robot goes straight from here (D,): to its corner, or to the meta robot."""
-        first = None if branch.strayed else self.bends.get(frozenset(branch.targets))
-        turn = None if first is None else corner(branch.alpha, step.meta_alpha, first)
+        bend = None if branch.strayed else self.bends.get(frozenset(branch.targets))
+        turn = None if bend is None else bend.ahead(branch.alpha, step.meta_alpha)
         return step.meta_alpha if turn is None else turn
 
     def at(self, branch: Branch, step: MetaStep) -> bool:
@@ -199,21 +199,53 @@ class Transfer:
         self.routes[branch.path].append(branch.targets[0])
         if self.asking is not None:
             self.asking.offer(branch, self.routes[branch.path])
+            for rival in [other for other in self.pending if other.targets == branch.targets]:
+                self.pending.remove(rival)
+                self.sampler.say("overtaken", rival, by=branch.path)
         self.sampler.say("arrived", branch, target=branch.targets[0])
 
-    def choose(self, asking: Asking) -> None:
-        """Make the branch with the least left to its meta robot the next; a target to which some policy leaves less goes first, from there.
+    def may_change(self, branch: Branch) -> bool:
+        """Whether a tree that asks may play another branch now: this one is new, or has used its allowance on its way to a target."""
+        alone = len(branch.targets) == 1 and branch.stage == "evolve"
+        return branch.began is None or (alone and self.costs[branch.path].sim_epochs >= branch.allowance)
 
-        Branches that have stalled come last.
-        """
+    def choose(self, asking: Asking) -> None:
+        """Put the branch that is to be played last: one that waits if there is any, else a rival of the last, or the most promising."""
+        if any(branch.began is None for branch in self.pending):
+            self.choose_waiting(asking)
+            return
+        branch = self.pending[-1]
+        name = branch.targets[0]
+        if name not in asking.raced and self.routes[branch.path] != asking.routes[0]:
+            self.race(branch, asking)
+            return
+        promises = {
+            index: asking.promise(other, self.goals[other.targets[0]], self.costs[other.path].sim_epochs)
+            for index, other in enumerate(self.pending) if len(other.targets) == 1
+        }  # fmt: skip
+        branch = self.pending.pop(min(promises, key=lambda index: promises[index]))
+        branch.allowance = 2 * max(self.costs[branch.path].sim_epochs, self.config.allowance)
+        self.pending.append(branch)
+
+    def choose_waiting(self, asking: Asking) -> None:
+        """Of those that wait the branch with the least left to its meta robot; a target to which some policy leaves less goes first, from
+        there."""
         choices = []
+
+        def holds(branch: Branch, robot: np.ndarray) -> bool:
+            return self.look(branch, self.engine, robot)[0]
+
         for index, branch in enumerate(self.pending):
-            own = asking.distance(branch.alpha, self.evolution_tree(branch).meta_alpha)
-            choices.append((branch.waits, own, index, None))
+            if branch.began is not None:
+                continue
+            step = self.evolution_tree(branch)
+            end = self.ahead(branch, step)
+            own = asking.left(branch, None if end is step.meta_alpha else end, step.meta_alpha, holds)
+            choices.append((own, index, None))
             for name in branch.targets if own > 0 else ():
-                leap = asking.best(name, self.goals[name], branch.path, lambda probe, robot: self.look(probe, self.engine, robot)[0])
-                choices.append((branch.waits and leap.left >= own, leap.left, index, name))
-        *_, index, name = min(choices, key=lambda choice: choice[:2])
+                leap = asking.best(name, self.goals[name], branch.path, holds)
+                choices.append((leap.left, index, name))
+        _, index, name = min(choices, key=lambda choice: choice[0])
         branch = self.pending.pop(index)
         self.pending.append(branch)
         if name is not None:
@@ -221,7 +253,23 @@ class Transfer:
                 branch = next(b for b in self.part(branch, [frozenset(branch.targets) - {name}, {name}]) if b.targets == [name])
                 self.pending.append(self.pending.pop(self.pending.index(branch)))
             self.leave_from(branch, asking)
-        branch.begun, branch.waits = True, False
+        self.begin(branch, asking)
+
+    def begin(self, branch: Branch, asking: Asking) -> None:
+        """A branch has its first turn."""
+        branch.began = asking.distance(branch.alpha, self.evolution_tree(branch).meta_alpha)
+        branch.allowance = self.costs[branch.path].sim_epochs + self.config.allowance
+
+    def race(self, branch: Branch, asking: Asking) -> None:
+        """Beside a path to a target that costs much another sets out, straight from the source."""
+        source, name = asking.origins[0], branch.targets[0]
+        path = f"path {len(self.costs) + 1}"
+        self.costs[path], self.routes[path] = Cost(), list(asking.routes[0])
+        rival = Branch(path, source.alpha, [name], source.policy.copy(), source.value.copy(), noise=source.noise, strayed=True)
+        self.pending.append(rival)
+        asking.raced.append(name)
+        self.sampler.say("split", rival, parent="path 1", targets=name, rival=branch.path)
+        self.begin(rival, asking)
 
     def leave_from(self, branch: Branch, asking: Asking) -> None:
         """Take the branch's only target up from the robot that answered best, at where its policy holds."""
@@ -276,8 +324,6 @@ class Transfer:
         else:
             branch.looked = False  # the policy has changed since
             branch.begin_phase()
-            if self.asking is not None and len(self.pending) > 1:
-                branch.begun, branch.waits = False, True  # others may reach a robot from which it is easier
 
     def look_ahead(self, branch: Branch, step: MetaStep) -> None:
         """Go at once to the farthest robot on which the policy holds already, if there is any.

@@ -15,6 +15,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import product
 from queue import SimpleQueue
 from typing import Any
 
@@ -49,11 +50,14 @@ QUANTITIES = {
 
 SIDES = {"fingers": "the fingers before the thumb", "thumb": "the thumb before the fingers"}
 """What may go first on a way that turns a corner -> in words."""
+LEADS = (1.0, 0.5, 0.25)
+"""By which shares of their way the others may then lag behind, the most telling first."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """A stretch of evolution: names of its ends, their alphas (D,), and where it turns (D,), if it does, for which side goes first."""
+    """A stretch of evolution: names of its ends, their alphas (D,), and where it turns (D,), if it does: which side goes first, and by
+    which share of its way the other then lags behind."""
 
     start: str
     end: str
@@ -61,6 +65,7 @@ class Way:
     last: np.ndarray
     turn: np.ndarray | None = None
     ahead: str | None = None
+    lead: float | None = None
 
     def at(self, share: float) -> np.ndarray:
         """The robot (D,) at a share of the way's length, L1."""
@@ -72,10 +77,17 @@ class Way:
             return np.clip(self.first + gone / legs[0] * (self.turn - self.first), 0.0, 1.0)
         return np.clip(self.turn + (gone - legs[0]) / legs[1] * (self.last - self.turn), 0.0, 1.0)
 
-    def bent(self, space: EvolutionSpace, side: str) -> "Way | None":
-        """The same way with one side of the grasp (a key of SIDES) first; None: only one side moves on it."""
-        turn = corner(self.first, self.last, space.side(side))
-        return None if turn is None else replace(self, turn=turn, ahead=side)
+    def bent(self, space: EvolutionSpace, side: str, lead: float = 1.0) -> "Way | None":
+        """The same way with one side of the grasp (a key of SIDES) first, by a ``lead``; None: only one side moves on it."""
+        turn = corner(self.first, self.last, space.side(side), lead)
+        return None if turn is None else replace(self, turn=turn, ahead=side, lead=lead)
+
+    @property
+    def told(self) -> str:
+        """Its end, and how it turns if it does."""
+        if self.ahead is None:
+            return self.end
+        return f"{self.end} ({self.ahead} first{'' if self.lead == 1.0 else f', by {self.lead:.0%}'})"
 
 
 @dataclass(frozen=True)
@@ -129,7 +141,7 @@ class Edge:
     def to_json(self) -> dict[str, Any]:
         """As plain numbers."""
         return {
-            "from": self.way.start, "to": self.way.end, "first": self.way.ahead, "reserve": self.reserve,
+            "from": self.way.start, "to": self.way.end, "first": self.way.ahead, "lead": self.way.lead, "reserve": self.reserve,
             "robots": [{"share": round(share, 4), **robot.to_json()} for share, robot in sorted(self.robots.items())],
             "violations": [violation.to_json() for violation in self.violations],
         }  # fmt: skip
@@ -239,9 +251,9 @@ class Audit:
     def best(self, way: Way) -> Edge:
         """A way audited as it is, or turned so that one side of the grasp goes first, whichever keeps the promise best."""
         found = [self.along(way)]
-        for side in SIDES if found[0].violations else ():
-            other = way.bent(self.merged.space, side)
-            if other is not None and found[-1].violations:
+        for lead, side in product(LEADS, SIDES):
+            other = way.bent(self.merged.space, side, lead) if found[-1].violations else None
+            if other is not None:
                 found.append(self.along(other))
         return min(found, key=lambda edge: edge.broken)
 
@@ -390,7 +402,7 @@ def verdict(edges: Sequence[Edge]) -> str:
     """One line on what an audit found."""
     broken = [(edge, edge.violations[0]) for edge in edges if edge.violations]
     kept = [edge for edge in edges if edge.reserve is None]
-    turned = [f"{edge.way.start} to {edge.way.end}, {SIDES[edge.way.ahead]}" for edge in edges if edge.way.ahead is not None]
+    turned = [f"{edge.way.start} to {edge.way.told}" for edge in edges if edge.way.ahead is not None]
     bends = f" (bent: {'; '.join(turned)})" if turned else ""
     if not broken:
         parts = [min(robot.grip_n for robot in e.robots.values()) / max(min(r.grip_n for r in e.ends), 1e-9) for e in kept]

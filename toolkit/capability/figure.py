@@ -24,7 +24,8 @@ def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(ROWS), max(len(edges), 1), squeeze=False, sharex=True, sharey="row")
     for column, edge in enumerate(edges):
-        turned = f"\n{edge['first']} first" if edge.get("first") else ""
+        lag = "" if edge.get("lead", 1.0) == 1.0 or not edge.get("first") else f", by {edge['lead']:.0%}"
+        turned = f"\n{edge['first']} first{lag}" if edge.get("first") else ""
         panels[0][column].set_title(f"{edge['from']}\nto {edge['to']}{turned}", fontsize=8)
         for row, (quantity, label) in enumerate(ROWS.items()):
             axes = panels[row][column]

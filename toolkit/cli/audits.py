@@ -82,7 +82,7 @@ def _show(edges: list) -> None:
         found = "\n".join(worst.values()) or edge.reserve or "even"
         held = [robot.script for robot in inner if robot.script is not None]
         rows.append([
-            edge.way.start, edge.way.end if edge.way.ahead is None else f"{edge.way.end} ({edge.way.ahead} first)",
+            edge.way.start, edge.way.told,
             f"{ends[0].grip_n:.0f} to {ends[1].grip_n:.0f}",
             f"{min(r.grip_n for r in inner):.0f} to {max(r.grip_n for r in inner):.0f}",
             f"{min(held):.0%}" if held else "", found,
