@@ -26,7 +26,7 @@ from tasks.pick import (
     PickTask,
 )  # fmt: skip
 from toolkit import datasheet
-from toolkit.bundle import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
+from toolkit.bundle import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA, SIGNATURE
 from toolkit.claims import claim, give_up
 from toolkit.datasheet import Played, vector
 from toolkit.deploy.kinematics import Kinematics
@@ -57,6 +57,7 @@ from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
 from toolkit.runs import git_state, recorded_versions, write_atomically
 from toolkit.schema import manifest_schema
+from toolkit.signing import sign
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
 
 ZIPPED = "bundle.zip"
@@ -152,6 +153,7 @@ def write_bundle(
     out: Path,
     progress: Callable[[str], None] = lambda what: None,
     episodes: tuple[int, int] = (UNDISTURBED, NOISY),
+    key: Path | None = None,
 ) -> Manifest:
     """Export a policy for a robot with a gripper, as the folder ``out`` and the file ``out``.zip.
 
@@ -167,6 +169,7 @@ def write_bundle(
         out: folder; made if needed, files of an earlier bundle are replaced.
         progress: told what is being done.
         episodes: from which ranges and limits are taken, without and with the noise of training.
+        key: OpenSSH private key that signs the manifest; None: nobody signs.
 
     Raises:
         ToolkitError: the robot has a hand, the policy has other records, or ``out`` cannot be written.
@@ -188,9 +191,11 @@ def write_bundle(
         raise ToolkitError(f"{out} cannot be a bundle's folder ({error.strerror}); choose another --out") from error
     try:
         with TemporaryDirectory(prefix=".export-", dir=out) as folder:  # an earlier bundle stays whole until this one is
-            manifest = _write(policy, robot, task, dict(config), lineage, success, Path(folder), out.name, progress, episodes)
-            (out / MANIFEST).unlink(missing_ok=True)
-            for name in (*HASHED, MANIFEST):
+            manifest = _write(policy, robot, task, dict(config), lineage, success, Path(folder), out.name, progress, episodes,
+                              key)  # fmt: skip
+            for name in (MANIFEST, SIGNATURE):
+                (out / name).unlink(missing_ok=True)
+            for name in (*HASHED, MANIFEST, *([SIGNATURE] if key else [])):
                 os.replace(Path(folder) / name, out / name)
             os.replace(Path(folder) / ZIPPED, _zip_of(out))
     except OSError as error:
@@ -204,7 +209,7 @@ def write_bundle(
 
 def _write(
     policy: GaussianPolicy, robot: Robot, task: PickTask, config: dict[str, Any], lineage: Lineage, success: Success, folder: Path,
-    name: str, progress: Callable[[str], None], episodes: tuple[int, int],
+    name: str, progress: Callable[[str], None], episodes: tuple[int, int], key: Path | None,
 ) -> Manifest:  # fmt: skip
     """All files of the bundle ``name``, and its .zip as ZIPPED, into an empty folder."""
     action_map = gripper_action_map()
@@ -221,7 +226,10 @@ def _write(
         write_atomically(folder / file, content)
     digests = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in HASHED}
     manifest = Manifest(**(manifest.__dict__ | {"sha256": digests}))
-    write_atomically(folder / MANIFEST, _json(manifest.to_json()))
+    written = _json(manifest.to_json())
+    write_atomically(folder / MANIFEST, written)
+    if key:
+        write_atomically(folder / SIGNATURE, sign(written, key))
     write_atomically(folder / ZIPPED, _zipped(folder, name))
     return manifest
 
@@ -267,7 +275,7 @@ def _zipped(folder: Path, bundle: str) -> bytes:
     """The folder's files below the bundle's name, with the same dates always: same bundle, same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in (MANIFEST, *HASHED):
+        for name in (MANIFEST, *HASHED, *([SIGNATURE] if (folder / SIGNATURE).exists() else [])):
             entry = zipfile.ZipInfo(f"{bundle}/{name}", date_time=(2024, 1, 1, 0, 0, 0))
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, (folder / name).read_bytes())

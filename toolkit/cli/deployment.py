@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from toolkit.cli.judging import check_signer
 from toolkit.cli.names import find_robot, find_task, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
@@ -31,13 +32,14 @@ OWNER = "META_EVOLVE_TWIN_OWNER"
 """Set for a twin that a deployment starts: the process whose end is also the twin's, however it ends."""
 
 
-def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, json: bool = False) -> None:
+def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, sign: Path | None = None, json: bool = False) -> None:
     """Write a target's policy as a bundle, a folder and a .zip: named observations in, robosuite's own action out.
 
     Args:
         run: a run folder.
         target: which target.
         out: folder of the bundle; made if needed. The .zip lies beside it.
+        sign: OpenSSH private key that signs it; its public key proves it: verify --signed-by KEY.pub.
         json: print the manifest.
     """
     content, policies, _ = trained_policies(run, target)
@@ -47,7 +49,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, j
     with Progress("export", quiet=json) as progress:
         label = _label(run, target, robot, task, policies[target], progress)
         manifest = write_bundle(policies[target], robot, task, content, _lineage(run, target), label, out,
-                                lambda what: progress.show(f"export {target}", what, now=True))  # fmt: skip
+                                lambda what: progress.show(f"export {target}", what, now=True), key=sign)  # fmt: skip
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
                                    + told("verify", out))  # fmt: skip
 
@@ -65,6 +67,7 @@ def deploy(
     dry_run: bool = False,
     host: str | None = None,
     ticks: int = 20,
+    signed_by: Path | None = None,
     json: bool = False,
 ) -> None:
     """Move an arm with a bundle, through the safety filter. The arm is the twin: robosuite's robot in a process of its own.
@@ -86,6 +89,7 @@ def deploy(
         dry_run: open nothing that can move the arm; read it, and print what would be sent. For a real arm give --form joint.
         host: address of the arm, for --dry-run with ur, franka or kortex.
         ticks: of a dry run.
+        signed_by: OpenSSH public key; a bundle that its holder has not signed is refused.
         json: print one JSON object.
     """
     if driver != "sim" and not dry_run:
@@ -101,6 +105,8 @@ def deploy(
     from toolkit.deploy.drivers.sim import SimDriver
 
     loaded = load_bundle(bundle)
+    if signed_by is not None:
+        check_signer(loaded, signed_by)
     if driver != "sim":
         from toolkit.cli.listening import dry, listener
 
