@@ -9,6 +9,8 @@
     manifest.schema.json its JSON schema, with the meaning of every entry
     golden.npz           recorded observations with their actions, and one closed-loop episode
     robot.xml            the robot as MJCF: frames, joints, limits, enclosing boxes and capsules
+    robot.urdf           the same as URDF
+    scene.xml            robot, motors, couplings, table and object as MJCF, to be driven
     README.md            for people
     manifest.json.sig    signature of the manifest, and with its hashes of all the rest; optional, see toolkit/signing.py
 
@@ -35,10 +37,13 @@ from toolkit.quoting import told
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"
 FLAT_ONNX, ACTOR, SCHEMA, CONFIG = "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json"
+SCENE, URDF = "scene.xml", "robot.urdf"
 HASHED_2 = (ONNX, SAFETENSORS, GOLDEN, MJCF, README)
 """Files beside the manifest in format version 2."""
-HASHED = (*HASHED_2, FLAT_ONNX, ACTOR, SCHEMA, CONFIG)
-"""The same since version 3."""
+HASHED_3 = (*HASHED_2, FLAT_ONNX, ACTOR, SCHEMA, CONFIG)
+"""The same in version 3."""
+HASHED = (*HASHED_3, SCENE, URDF)
+"""The same since version 4."""
 FILES = (*HASHED, MANIFEST)
 SIGNATURE = MANIFEST + ".sig"
 """Of the manifest's bytes, named as OpenSSH names it; optional."""
@@ -111,7 +116,7 @@ def load_bundle(path: str | Path) -> Bundle:
     _there(files, (MANIFEST,), path)
     content = parsed(files[MANIFEST], f"{path}/{MANIFEST}", "copy or export the bundle again")
     manifest = read_manifest(content, f"{path}/{MANIFEST}")
-    hashed = HASHED if manifest.format_version >= 3 else HASHED_2
+    hashed = {2: HASHED_2, 3: HASHED_3}.get(manifest.format_version, HASHED)
     _there(files, hashed, path)
     check_makers_limits(manifest, f"{path}/{MANIFEST}")
     for name in hashed:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from toolkit.bundle import Bundle
     from toolkit.deploy.drivers.sim import SimDriver
-    from toolkit.manifest import Lineage, Success
+    from toolkit.manifest import Held, Lineage, Success
 
 FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
@@ -32,13 +32,15 @@ OWNER = "META_EVOLVE_TWIN_OWNER"
 """Set for a twin that a deployment starts: the process whose end is also the twin's, however it ends."""
 
 
-def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, sign: Path | None = None, json: bool = False) -> None:
+def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, stressed: Path | None = None, sign: Path | None = None,
+           json: bool = False) -> None:  # fmt: skip
     """Write a target's policy as a bundle, a folder and a .zip: named observations in, robosuite's own action out.
 
     Args:
         run: a run folder.
         target: which target.
         out: folder of the bundle; made if needed. The .zip lies beside it.
+        stressed: folder that stress --out wrote for this policy; its ranges go into the manifest and the bundle's README.
         sign: OpenSSH private key that signs it; its public key proves it: verify --signed-by KEY.pub.
         json: print the manifest.
     """
@@ -46,10 +48,11 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
     from toolkit.packing import write_bundle
 
     robot, task = find_robot(target), find_task(content["task"])
+    holds = _holds(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
     with Progress("export", quiet=json) as progress:
         label = _label(run, target, robot, task, policies[target], progress)
         manifest = write_bundle(policies[target], robot, task, content, _lineage(run, target), label, out,
-                                lambda what: progress.show(f"export {target}", what, now=True), key=sign)  # fmt: skip
+                                lambda what: progress.show(f"export {target}", what, now=True), key=sign, holds=holds)  # fmt: skip
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
                                    + told("verify", out))  # fmt: skip
 
@@ -265,6 +268,30 @@ def _loopback(listener: Any) -> bool:
     import ipaddress
 
     return ipaddress.ip_address(listener.getsockname()[0].split("%")[0]).is_loopback
+
+
+def _holds(folder: Path, policy: Path, target: str, task: str) -> "tuple[Held, ...]":
+    """The ranges that a stress test found, refused if it was another policy's, robot's or task's."""
+    import hashlib
+
+    from toolkit.jsonfiles import read_object
+    from toolkit.manifest import Held
+
+    file = folder / "result.json"
+    content = read_object(file, "give the folder of a finished stress --out")
+    for what, found, wanted in (("policy", content.get("policy"), hashlib.sha256(policy.read_bytes()).hexdigest()),
+                                ("target", content.get("target"), target), ("task", content.get("task"), task)):  # fmt: skip
+        if found != wanted:
+            raise ToolkitError(f"{file} is of {what} {str(found)[:12]}, but what is exported is {wanted[:12]}; give its own stress test")
+    try:
+        tried = {name: [row["conditions"][name] for row in content["alone"] if name in row["conditions"]] for name in content["ranges"]}
+        return tuple(
+            Held(name, found["unit"], found["meaning"], float(found["nominal"]), float(found["low"]), float(found["high"]),
+                 float(min([*tried[name], found["nominal"]])), float(max([*tried[name], found["nominal"]])), content["episodes"])
+            for name, found in content["ranges"].items()
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ToolkitError(f"{file} is no result of a stress test ({error!r}); give the folder of a finished stress --out") from None
 
 
 def _lineage(run: Path, target: str) -> "Lineage":

@@ -70,7 +70,7 @@ def stress(
     finally:
         ledger.close()
     content = {
-        "target": robot.name, "task": task.name, "episodes": episodes,
+        "policy": who["policy"], "target": robot.name, "task": task.name, "episodes": episodes,
         "ranges": {name: {"low": low, "high": high, "unit": CONDITIONS[name].unit, "nominal": CONDITIONS[name].nominal,
                           "meaning": CONDITIONS[name].meaning} for name, (low, high) in ranges.items()},
         "alone": [_row(tried) for tried in alone], "pairs": [_row(tried) for tried in together],
