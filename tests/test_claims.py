@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit import claims, cli
-from toolkit.claims import LOCK, claim, claim_file, give_up, is_claimed
+from toolkit import cli
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.runs import Run, write_atomically
+from toolkit.io import claims
+from toolkit.io.atomic import write_atomically
+from toolkit.io.claims import LOCK, claim, claim_file, give_up, is_claimed
+from toolkit.runs import Run
 
 ROOT = Path(cli.__file__).parents[2]
 BRICK = "061_foam_brick"
@@ -49,7 +51,7 @@ def refusal(capsys, *words):
 
 
 def test_a_second_process_is_refused_by_the_name_of_the_first(tmp_path):
-    holder = other(f"from pathlib import Path\nfrom toolkit.claims import claim\nclaim(Path({str(tmp_path)!r}), 'wait')")
+    holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path)!r}), 'wait')")
     try:
         with pytest.raises(ToolkitError, match=f"is being written by process {holder.pid} on .*; mend it"):
             claim(tmp_path, "mend it")
@@ -89,7 +91,7 @@ def test_a_folder_that_was_made_again_is_claimed_again(tmp_path):
 
 def test_of_many_at_once_one_wins(tmp_path):
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom toolkit.claims import claim\nfrom toolkit.errors import ToolkitError\n"
+        "import sys, time\nfrom pathlib import Path\nfrom toolkit.io.claims import claim\nfrom toolkit.errors import ToolkitError\n"
         f"try: claim(Path({str(tmp_path)!r}), '')\nexcept ToolkitError: sys.exit(3)\ntime.sleep(3)\n"
     )
     racing = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(6)]
@@ -137,7 +139,7 @@ def test_resuming_twice_is_refused_at_once(tmp_path, capsys, command):
     config = Entry(targets=("kinova3",), episodes=40).job("quick").config() if command[0] == "transfer" else {
         "source": "adroit", "task": BRICK, "demos": None, "frame_rate": 25.0, "seed": 0, "updates": 6, "demonstrations": 160}  # fmt: skip
     Run.create(tmp_path / "r", config).end()
-    holder = other(f"from pathlib import Path\nfrom toolkit.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
+    holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
     try:
         assert f"process {holder.pid}" in refusal(capsys, *command, "--run", "r", "--resume")
         assert f"process {holder.pid}" in refusal(capsys, *command, "--run", "r")
@@ -153,7 +155,7 @@ def test_the_recording_of_a_running_transfer_is_not_made_anew(tmp_path, monkeypa
     (tmp_path / "r").mkdir()
     monkeypatch.setattr(inspection, "known_run", lambda path: None)
     monkeypatch.setattr(shows, "rebuild", lambda known, file: f"made {file}")
-    holder = other(f"from pathlib import Path\nfrom toolkit.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
+    holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
     try:
         with pytest.raises(ToolkitError, match="--live, or give --out"):
             inspection._recording(tmp_path / "r", True, None)
@@ -267,7 +269,7 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
     with pytest.raises(ToolkitError, match="No space left on device"):
         packing.write_bundle(*arguments, tmp_path / "new")
     assert not (tmp_path / "new").exists(), "nor does it leave an empty folder"
-    holder = other(f"from pathlib import Path\nfrom toolkit.claims import claim\nclaim(Path({str(tmp_path / 'kinova3')!r}), '')")
+    holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'kinova3')!r}), '')")
     try:
         with pytest.raises(ToolkitError, match=f"process {holder.pid}"):
             packing.write_bundle(*arguments, tmp_path / "kinova3")

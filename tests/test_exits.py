@@ -17,7 +17,7 @@ from toolkit.cli.terminal import Outlet
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.runtime import Runtime, TickLog, play
 from toolkit.errors import ToolkitError
-from toolkit.quoting import plain
+from toolkit.io.quoting import plain
 
 ROOT = Path(cli.__file__).parents[2]
 POINTS = '{"source": {"name": "s", "alpha": [0, 0]}, "targets": [{"name": "a", "alpha": [1, 0]}, {"name": "b", "alpha": [0, 1]}]}'

@@ -24,10 +24,10 @@ from toolkit.cli import main
 from toolkit.errors import ToolkitError
 from toolkit.export import METADATA_KEY, onnx_from_bytes
 from toolkit.fuzz import FORMATS, fuzz, outcome_of
-from toolkit.jsonfiles import parsed, parsed_object, read_object, require
+from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
+from toolkit.io.tensors import read_tensors
 from toolkit.phases import Phase, Take, load_phase
 from toolkit.runs import Run, read_report, read_tree, transfer_records
-from toolkit.tensors import read_tensors
 
 BUNDLE = SHIPPED / "kinova3.zip"
 FILES = 40

@@ -26,10 +26,10 @@ import numpy as np
 from tasks.npz import BROKEN, ArrayError, Arrays
 from toolkit.errors import ToolkitError
 from toolkit.export import OnnxPolicy, onnx_from_bytes
-from toolkit.jsonfiles import parsed
+from toolkit.io.jsonfiles import parsed
+from toolkit.io.quoting import told
 from toolkit.makers import check_makers_limits
 from toolkit.manifest import Manifest, read_manifest
-from toolkit.quoting import told
 
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"

@@ -11,11 +11,11 @@ import numpy as np
 from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, PickTask
 from toolkit.demonstrations import PickScript, TrackScript, pick_script
 from toolkit.errors import ToolkitError
+from toolkit.io.quoting import told
 from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
 from toolkit.morphology.build import MergedRobot
-from toolkit.quoting import told
 from toolkit.runs import Run, generator_from_state, generator_state
 from toolkit.simulation.rollout import RolloutEngine
 

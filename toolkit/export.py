@@ -5,7 +5,6 @@ onnxruntime, a dictionary of numbers and nothing else. `load_onnx` imports neith
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,8 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as onnxruntime_errors
 
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import parsed_object
+from toolkit.io.atomic import write_atomically
+from toolkit.io.jsonfiles import parsed_object
 
 if TYPE_CHECKING:  # these two pull in torch and onnx, which a machine that only loads does not have
     import onnx
@@ -109,7 +109,7 @@ def export_onnx(
     )
     onnx.helper.set_model_props(model, {METADATA_KEY: text, **(words or {})})
     onnx.checker.check_model(model, full_check=True)
-    _write_atomically(Path(path), model.SerializeToString(deterministic=True))
+    _write(Path(path), model.SerializeToString(deterministic=True))
 
 
 def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int], flat: bool) -> "onnx.GraphProto":
@@ -201,7 +201,7 @@ def export_actor(policy: "GaussianPolicy", path: str | Path, action_map: ActionM
     tensors = {"observation.shift": layers.shift, "observation.scale": layers.scale, "observation.clip": np.array([OBSERVATION_CLIP])}
     for i, (W, b) in enumerate(weights):
         tensors |= {f"layer_{i}.weight": W, f"layer_{i}.bias": b}
-    _write_atomically(Path(path), save({name: np.ascontiguousarray(array) for name, array in tensors.items()}, dict(metadata)))
+    _write(Path(path), save({name: np.ascontiguousarray(array) for name, array in tensors.items()}, dict(metadata)))
 
 
 def _check_sizes(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str, int]) -> None:
@@ -216,16 +216,10 @@ def _check_sizes(policy: "GaussianPolicy", action_map: ActionMap, record: Mappin
         raise ToolkitError(f"ActionMap takes {action_map.matrix.shape[1]} action entries; this policy has {n_act}.")
 
 
-def _write_atomically(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+def _write(path: Path, content: bytes) -> None:
     try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        write_atomically(path, content)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise ToolkitError(f"{path} cannot be written ({error.strerror}); choose a writable place.") from error
 
 

@@ -14,11 +14,11 @@ from safetensors.numpy import save as safetensors_bytes
 
 from tasks.pick import OBSERVATION
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import require
+from toolkit.io.atomic import write_atomically
+from toolkit.io.jsonfiles import require
+from toolkit.io.tensors import read_tensors
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.runs import write_atomically
-from toolkit.tensors import read_tensors
 
 ROLES = ("first", "last", "best", "worst", "failure")
 """Why an episode is kept. "best" and "worst" by `score`, "failure" is the first one that did not succeed."""

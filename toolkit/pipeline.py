@@ -18,7 +18,8 @@ from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, e
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.evolution.bend import Bend
 from toolkit.expert import POLICY_FILE, load_expert
-from toolkit.jsonfiles import read_object
+from toolkit.io.jsonfiles import read_object
+from toolkit.io.quoting import markdown
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored
 from toolkit.learning.npg import NpgConfig
@@ -28,7 +29,6 @@ from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.phases import Witness
 from toolkit.plan import Plan
-from toolkit.quoting import markdown
 from toolkit.runs import Run, read_audit
 from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant

@@ -14,7 +14,7 @@ from tasks.dexycb_scene import Scene, SceneError, scene_of
 from tasks.pick import PickTask
 from toolkit.demonstrations import Track, TrackScript
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 from toolkit.retargeting import HandModel, HandMotion, retarget, track_of
 from toolkit.simulation.plant import CLOSING, Plant, native_plant
 from toolkit.simulation.rollout import Tape, play

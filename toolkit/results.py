@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, Waypoint
-from toolkit.jsonfiles import require
-from toolkit.quoting import letters, markdown
+from toolkit.io.jsonfiles import require
+from toolkit.io.quoting import letters, markdown
 from toolkit.runs import Run, read_report, read_tree, transfer_records
 
 PAPER = {

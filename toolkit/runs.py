@@ -27,11 +27,12 @@ import numpy as np
 from safetensors.numpy import save as safetensors_bytes
 
 from toolkit import __version__
-from toolkit.claims import LOCK, claim, give_up
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import content_of, parsed, parsed_object, read_object, require
-from toolkit.quoting import told
-from toolkit.tensors import read_tensors
+from toolkit.io.atomic import write_atomically
+from toolkit.io.claims import LOCK, claim, give_up
+from toolkit.io.jsonfiles import content_of, parsed, parsed_object, read_object, require
+from toolkit.io.quoting import told
+from toolkit.io.tensors import read_tensors
 
 RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
 BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
@@ -378,30 +379,6 @@ def transfer_records(run: Run) -> list[dict[str, Any]]:
         require(record, _EVENT, where, "delete that line")
         require(record, _EVENTS.get(record["event"], {}), where, "delete that line")
     return records
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Replace `path` by `data`: a reader sees the old file or the new one, even after a power cut.
-
-    Raises:
-        OSError: the folder cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # of this process's own, whoever else writes
-    try:
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    if os.name == "posix":  # the rename itself is durable only once the folder is synced; Windows cannot open folders
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
 
 def generator_state(generator: np.random.Generator) -> dict[str, Any]:

@@ -21,9 +21,9 @@ import numpy as np
 from robots.robot import Robot
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
 from toolkit.bundle import load_bundle
-from toolkit.claims import open_claimed
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, NativeRobot
+from toolkit.io.claims import open_claimed
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIPPER_PREFIX, arm_joints
 from toolkit.quiet import start_worker

@@ -10,7 +10,7 @@ from toolkit.cli.help import helped
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.pipeline import Job

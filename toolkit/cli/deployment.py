@@ -11,7 +11,7 @@ import tyro
 from toolkit.cli.names import find_robot, find_task, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     import subprocess

@@ -11,7 +11,7 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     import subprocess
@@ -121,7 +121,7 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
         return record_deployment(path)
     if not rebuild:
         return path
-    from toolkit import claims
+    from toolkit.io import claims
     from toolkit.recording import shows
 
     file = out or path / "recording.rrd"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import require
+from toolkit.io.jsonfiles import require
 
 if TYPE_CHECKING:
     from robots.robot import Robot

@@ -10,7 +10,7 @@ from toolkit.cli.help import helped
 from toolkit.cli.names import find_robot
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.recordings import Demonstration, Studio

@@ -53,7 +53,7 @@ def stress(
     played, robot, task, who = _policy(policy, target)
     import json as js
 
-    from toolkit.runs import write_atomically
+    from toolkit.io.atomic import write_atomically
     from toolkit.stress import CONDITIONS, Ledger, pair_trials, ranges_of, single_trials
     from toolkit.stress import stress as play
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, document, emit
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 
 def expert(

@@ -15,13 +15,13 @@ from typing import Any, Literal, TextIO
 import numpy as np
 
 from toolkit.bundle import Bundle
-from toolkit.claims import open_claimed
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
 from toolkit.deploy.observer import Observer
 from toolkit.deploy.safety import OVERDUE, Fault, Guard
 from toolkit.errors import ToolkitError
+from toolkit.io.claims import open_claimed
 
 Pace = Literal["real", "lockstep"]
 STAGES = ("read", "observe", "policy", "command", "send")

@@ -18,11 +18,11 @@ from grippers.gripper import COMMANDED_ROLES, ROLE_COMMAND, ROLES
 from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.errors import ToolkitError
+from toolkit.io.quoting import letters
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, SETTLED, SQUEEZE, become_box, clamp, jaws_meet
 from toolkit.morphology.matching import CUBE, Matching, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
-from toolkit.quoting import letters
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
 
 CONFIGURATIONS = 100

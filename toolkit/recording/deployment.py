@@ -15,8 +15,8 @@ import rerun.blueprint as rrb
 
 from toolkit.deploy.runtime import LOG_FORMAT, STAGES
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import content_of, parsed_object, require
-from toolkit.quoting import markdown
+from toolkit.io.jsonfiles import content_of, parsed_object, require
+from toolkit.io.quoting import markdown
 from toolkit.recording.layout import quiet_layout
 from toolkit.recording.learning import PATH_COLOURS
 from toolkit.recording.stream import finish

@@ -12,12 +12,12 @@ import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
 from toolkit.film import Film, shoot
+from toolkit.io.quoting import markdown
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import Phase, Take
 from toolkit.plan import Plan
-from toolkit.quoting import markdown
 from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
 from toolkit.recording.learning import flat_curves

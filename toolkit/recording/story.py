@@ -15,12 +15,12 @@ import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
 from toolkit.film import shoot
+from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.plan import Plan
-from toolkit.quoting import markdown, told
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.recording.layout import page_timeline, pages_layout, robot_view
 from toolkit.recording.learning import LearningPage, learning_views

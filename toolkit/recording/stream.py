@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 from toolkit.recording.programs import viewer_program
 
 APPLICATION = "meta-evolve"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from rerun.chunk import Chunk, RrdReader
 
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 from toolkit.recording.programs import viewer_program
 from toolkit.recording.stream import FILM, LONGEST
 

@@ -13,12 +13,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from toolkit.errors import ToolkitError
 from toolkit.film import shoot
-from toolkit.jsonfiles import read_object, require
+from toolkit.io.jsonfiles import read_object, require
+from toolkit.io.quoting import plain
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
 from toolkit.phases import Phase, Take, landmarks, load_phases
-from toolkit.quoting import plain
 from toolkit.recording.scene import Cast, Casting
 from toolkit.report.stills import Studio
 from toolkit.runs import read_report

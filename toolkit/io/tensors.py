@@ -6,7 +6,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import parsed_object
+from toolkit.io.jsonfiles import parsed_object
 
 BROKEN = (SafetensorError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError, MemoryError, RuntimeError)
 """Whatever safetensors and NumPy raise on a file that is damaged, lies about its sizes, or holds types that NumPy does not have."""
