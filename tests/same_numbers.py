@@ -15,11 +15,11 @@ import numpy as np
 
 from robots import ROBOTS
 from tasks import TASKS
+from toolkit.bundle.manifest import Lineage, Success
 from toolkit.datasheet import model_sha256
 from toolkit.evaluation import NativeRobot, evaluate_merged
 from toolkit.expert import load_expert
 from toolkit.learning.npg import NpgConfig
-from toolkit.manifest import Lineage, Success
 from toolkit.packing import write_bundle
 from toolkit.pipeline import Job, Lab, Pipeline
 from toolkit.runs import Run

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.drivers.franka import Franka
 from toolkit.deploy.drivers.kortex import Kortex
 from toolkit.deploy.drivers.ros2 import Ros2

@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE, is_lost
-from toolkit.bundle import FILES, MANIFEST, check_bundle, load_bundle
+from toolkit.bundle.manifest import FORMAT_VERSION, Lineage, Success, read_manifest
+from toolkit.bundle.onnx_graph import load_onnx
+from toolkit.bundle.reading import FILES, MANIFEST, check_bundle, load_bundle
 from toolkit.datasheet import model_sha256
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.runtime import replay_golden
 from toolkit.errors import ToolkitError
 from toolkit.expert import entry_names
-from toolkit.export import load_onnx
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.manifest import FORMAT_VERSION, Lineage, Success, read_manifest
 from toolkit.morphology.posture import arm_joints
 from toolkit.packing import LOST_BELOW, check_records, write_bundle
 
@@ -249,7 +249,7 @@ def test_the_recorded_episode_replays_through_the_robot_pcs_own_kinematics(expor
 
 def test_loading_needs_neither_torch_nor_robosuite(exported):
     code = (
-        "import sys; from toolkit.bundle import load_bundle, check_bundle\n"
+        "import sys; from toolkit.bundle.reading import load_bundle, check_bundle\n"
         "assert check_bundle(load_bundle(sys.argv[1]))['golden_ok']\n"
         "heavy = {'torch', 'robosuite', 'onnx', 'rerun', 'pinocchio', 'scipy', 'numba'} & set(sys.modules)\n"
         "assert not heavy, heavy"
@@ -416,7 +416,7 @@ def test_a_zip_with_a_file_twice_is_refused(exported, tmp_path):
 
 
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("toolkit.bundle.LARGEST_FILE", 10**6)
+    monkeypatch.setattr("toolkit.bundle.reading.LARGEST_FILE", 10**6)
     with pytest.raises(ToolkitError, match="policy.onnx has more than 1000000 bytes"):
         load_bundle(zipped(tmp_path / "b.zip", [("policy.onnx", bytes(10**7))]))
 

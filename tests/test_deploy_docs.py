@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.cli.app import app
 from toolkit.deploy.arm import State
 from toolkit.deploy.runtime import TickLog, rehearse

@@ -519,7 +519,7 @@ def facts(manifest):
     ({"model_sha256": "0" * 64}, "not the model that the bundle was made on"),
 ])  # fmt: skip
 def test_an_arm_that_does_not_fit_is_refused_by_name(change, sentence):
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
 
     manifest = load_bundle("kinova3").manifest
     check_fit(manifest, ArmInfo(**facts(manifest)), "osc")

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.kinematics import Kinematics, rotation_of, vector_of
 from toolkit.deploy.motion import Expected, Track

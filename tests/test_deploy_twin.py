@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.drivers.sim import SimDriver

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.cli.app import main
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.drivers.kortex import IN_FAULT
@@ -187,7 +187,7 @@ for name in ("torch", "robosuite", "onnx", "safetensors", "pinocchio", "numba", 
     sys.modules[name] = None  # not to be imported
 import time
 import numpy as np
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.cli import listening
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.drivers import franka, kortex, ros2, ur

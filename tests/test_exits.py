@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toolkit import cli
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.cli import main
 from toolkit.cli.terminal import Outlet
 from toolkit.deploy.arm import ArmInfo, State

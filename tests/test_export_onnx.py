@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from toolkit.bundle.onnx_graph import ActionMap, export_onnx, load_onnx, onnx_max_abs_error
 from toolkit.errors import ToolkitError
-from toolkit.export import ActionMap, export_onnx, load_onnx, onnx_max_abs_error
 from toolkit.learning.exploration import Directions, Explored, leading_features
 from toolkit.learning.policy import GaussianPolicy
 
@@ -123,7 +123,7 @@ def test_the_graph_is_plain_onnx(exported):
 def test_loading_needs_neither_torch_nor_onnx(exported):
     program = (
         "import sys; sys.modules.update(torch=None, onnx=None, robosuite=None);"
-        "from toolkit.export import load_onnx; print(load_onnx(sys.argv[1]).n_out)"
+        "from toolkit.bundle.onnx_graph import load_onnx; print(load_onnx(sys.argv[1]).n_out)"
     )
     done = subprocess.run([sys.executable, "-c", program, str(exported)], capture_output=True, text=True)
     assert done.stdout == "7\n", done.stderr

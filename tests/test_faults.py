@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.cli import main
 from toolkit.deploy import faults
 from toolkit.deploy.arm import ArmInfo, State

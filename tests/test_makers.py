@@ -6,9 +6,9 @@ import zipfile
 import pytest
 
 from robots import ROBOTS
-from toolkit.bundle import FILES, find_bundle, load_bundle
+from toolkit.bundle.makers import JOINT_SPEEDS
+from toolkit.bundle.reading import FILES, find_bundle, load_bundle
 from toolkit.errors import ToolkitError
-from toolkit.makers import JOINT_SPEEDS
 
 
 def test_the_table_is_the_cards():

@@ -16,7 +16,7 @@ from robosuite.models.robots.robot_model import REGISTERED_ROBOTS
 from robots import ROBOTS
 from tasks.dexycb import RecordingError, read_recording, sequences
 from tasks.dexycb_standin import SERIALS, write_standin
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.runtime import Runtime
 from toolkit.errors import ToolkitError

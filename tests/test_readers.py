@@ -19,10 +19,10 @@ import pytest
 
 from tasks.npz import ArrayError, Arrays
 from toolkit import cli
-from toolkit.bundle import SHIPPED, load_bundle
+from toolkit.bundle.onnx_graph import METADATA_KEY, onnx_from_bytes
+from toolkit.bundle.reading import SHIPPED, load_bundle
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.export import METADATA_KEY, onnx_from_bytes
 from toolkit.fuzz import FORMATS, fuzz, outcome_of
 from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
 from toolkit.io.tensors import read_tensors

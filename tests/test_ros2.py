@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import Command
 from toolkit.deploy.drivers import ros2
 from toolkit.deploy.kinematics import load_mjcf

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.drivers.kortex import Kortex
 from toolkit.deploy.kinematics import Kinematics

@@ -19,9 +19,9 @@ from scipy.spatial import ConvexHull, QhullError
 from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.pick import START_ROTATION
+from toolkit.bundle.manifest import Gripper, Response, Vector
 from toolkit.deploy.kinematics import HULL
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.manifest import Gripper, Response, Vector
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
 from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
 from toolkit.simulation.plant import CLOSING, Plant

@@ -17,7 +17,7 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
-from toolkit.bundle import Bundle, load_bundle
+from toolkit.bundle.reading import Bundle, load_bundle
 from toolkit.datasheet import model_sha256
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree

@@ -27,13 +27,13 @@ import numpy as np
 
 from tasks.dexycb import RecordingError, read_recording, read_vertices, sequences
 from tasks.dexycb_standin import write_standin
-from toolkit.bundle import GOLDEN, MANIFEST, MJCF, ONNX, SAFETENSORS, load_bundle, read_golden
+from toolkit.bundle.onnx_graph import onnx_from_bytes
+from toolkit.bundle.reading import GOLDEN, MANIFEST, MJCF, ONNX, SAFETENSORS, load_bundle, read_golden
 from toolkit.deploy.arm import State
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.runtime import TickLog, rehearse
 from toolkit.errors import ToolkitError
 from toolkit.evolution import load_points
-from toolkit.export import onnx_from_bytes
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.phases import FOLDER, Phase, Take, load_phase
 from toolkit.plan import Plan

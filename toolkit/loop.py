@@ -18,8 +18,7 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import PickTask
-from toolkit.datasheet import plain_name, vector
-from toolkit.manifest import (
+from toolkit.bundle.manifest import (
     Actuator,
     ClosingProgress,
     Holding,
@@ -33,6 +32,7 @@ from toolkit.manifest import (
     Stopping,
     Success,
 )  # fmt: skip
+from toolkit.datasheet import plain_name, vector
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIPPER_PREFIX, native_env
 from toolkit.simulation.plant import Plant

@@ -26,16 +26,7 @@ from tasks.pick import (
     PickTask,
 )  # fmt: skip
 from toolkit import datasheet
-from toolkit.bundle import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
-from toolkit.datasheet import Played, vector
-from toolkit.deploy.kinematics import Kinematics
-from toolkit.errors import ToolkitError
-from toolkit.export import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
-from toolkit.io.atomic import write_atomically
-from toolkit.io.claims import claim, give_up
-from toolkit.learning.policy import GaussianPolicy
-from toolkit.loop import licence, read_simulation
-from toolkit.manifest import (
+from toolkit.bundle.manifest import (
     FORMAT,
     FORMAT_VERSION,
     Acted,
@@ -54,10 +45,19 @@ from toolkit.manifest import (
     TaskCard,
     Watch,
 )  # fmt: skip
+from toolkit.bundle.onnx_graph import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
+from toolkit.bundle.reading import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
+from toolkit.bundle.schema import manifest_schema
+from toolkit.datasheet import Played, vector
+from toolkit.deploy.kinematics import Kinematics
+from toolkit.errors import ToolkitError
+from toolkit.io.atomic import write_atomically
+from toolkit.io.claims import claim, give_up
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.loop import licence, read_simulation
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
 from toolkit.runs import git_state, recorded_versions
-from toolkit.schema import manifest_schema
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
 
 ZIPPED = "bundle.zip"

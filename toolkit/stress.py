@@ -20,7 +20,7 @@ import numpy as np
 
 from robots.robot import Robot
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
-from toolkit.bundle import load_bundle
+from toolkit.bundle.reading import load_bundle
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, NativeRobot
 from toolkit.io.claims import open_claimed

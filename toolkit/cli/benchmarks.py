@@ -416,7 +416,7 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
 
     import numpy as np
 
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.runtime import time_ticks
 
@@ -458,7 +458,7 @@ def bench_fuzz(
         seed: of the damage.
         json: print one JSON object.
     """
-    from toolkit.bundle import find_bundle
+    from toolkit.bundle.reading import find_bundle
     from toolkit.fuzz import FORMATS, fuzz
 
     unknown = [name for name in formats if name not in FORMATS]
@@ -496,7 +496,7 @@ def bench_faults(
         only: faults whose name or layer (state, stamp, start, order, process, line, disk) holds this text.
         json: print one JSON object.
     """
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
     from toolkit.cli.deployment import start_twin
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.drivers.sim import SimDriver

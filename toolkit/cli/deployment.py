@@ -16,9 +16,9 @@ from toolkit.io.quoting import told
 if TYPE_CHECKING:
     import subprocess
 
-    from toolkit.bundle import Bundle
+    from toolkit.bundle.manifest import Lineage, Success
+    from toolkit.bundle.reading import Bundle
     from toolkit.deploy.drivers.sim import SimDriver
-    from toolkit.manifest import Lineage, Success
 
 FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
@@ -97,7 +97,7 @@ def deploy(
         raise ToolkitError(f"ticks is {ticks}; give at least one")
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
     from toolkit.deploy.drivers.sim import SimDriver
 
     loaded = load_bundle(bundle)
@@ -228,7 +228,7 @@ def twin(
     import secrets
     import socket
 
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
 
     if not 0 <= port < 2**16:
         raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
@@ -262,7 +262,7 @@ def _loopback(listener: Any) -> bool:
 
 
 def _lineage(run: Path, target: str) -> "Lineage":
-    from toolkit.manifest import Lineage
+    from toolkit.bundle.manifest import Lineage
     from toolkit.runs import read_nodes, read_success
 
     tree, report = read_nodes(run), read_success(run)
@@ -280,7 +280,7 @@ def _lineage(run: Path, target: str) -> "Lineage":
 
 def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
     """Success as the run's report has it, or measured now."""
-    from toolkit.manifest import Success
+    from toolkit.bundle.manifest import Success
     from toolkit.runs import read_success
 
     report = read_success(run)

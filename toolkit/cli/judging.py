@@ -74,7 +74,7 @@ def is_bundle(name: str) -> bool:
     path = Path(name)
     if path.exists():
         return (path / "manifest.json").is_file() or path.suffix == ".zip"
-    from toolkit.bundle import shipped_bundles
+    from toolkit.bundle.reading import shipped_bundles
 
     return name in shipped_bundles() or path.suffix == ".zip"
 
@@ -88,7 +88,7 @@ def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, se
         seed: shifts the episodes' seeds.
         json: print one JSON object.
     """
-    from toolkit.bundle import check_bundle, load_bundle
+    from toolkit.bundle.reading import check_bundle, load_bundle
     from toolkit.deploy.runtime import replay_golden
 
     loaded = load_bundle(bundle)
@@ -125,7 +125,7 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
     """Success of a bundle's ONNX graph alone on the unmodified robosuite robot."""
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.bundle import find_bundle, load_bundle
+    from toolkit.bundle.reading import find_bundle, load_bundle
 
     path = find_bundle(name)
     manifest = load_bundle(path).manifest

@@ -90,7 +90,7 @@ def stress(
 def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Robot", "PickTask", dict[str, Any]]:
     """What plays on which robot in which task, and the same for the ledger."""
     if is_bundle(name):
-        from toolkit.bundle import find_bundle, load_bundle
+        from toolkit.bundle.reading import find_bundle, load_bundle
 
         if target is not None:
             raise ToolkitError(f"{name} is a bundle, whose robot is written in it; leave --target {target} out")

@@ -20,7 +20,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from toolkit.bundle import Bundle
+from toolkit.bundle.reading import Bundle
 from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
 from toolkit.deploy.drivers.sim import SimDriver

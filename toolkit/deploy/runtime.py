@@ -14,7 +14,7 @@ from typing import Any, Literal, TextIO
 
 import numpy as np
 
-from toolkit.bundle import Bundle
+from toolkit.bundle.reading import Bundle
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from tasks.npz import BROKEN, ArrayError, Arrays
+from toolkit.bundle.makers import check_makers_limits
+from toolkit.bundle.manifest import Manifest, read_manifest
+from toolkit.bundle.onnx_graph import OnnxPolicy, onnx_from_bytes
 from toolkit.errors import ToolkitError
-from toolkit.export import OnnxPolicy, onnx_from_bytes
 from toolkit.io.jsonfiles import parsed
 from toolkit.io.quoting import told
-from toolkit.makers import check_makers_limits
-from toolkit.manifest import Manifest, read_manifest
 
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"
@@ -41,7 +41,7 @@ HASHED = (*HASHED_2, FLAT_ONNX, ACTOR, SCHEMA, CONFIG)
 FILES = (*HASHED, MANIFEST)
 LARGEST_FILE = 64 * 2**20
 """Bytes; a file of a bundle that is larger is none."""
-SHIPPED = Path(__file__).parent / "bundles"
+SHIPPED = Path(__file__).parent / "shipped"
 """Bundles that come with the package, each under its name."""
 WILD_OBSERVATIONS = 1000
 

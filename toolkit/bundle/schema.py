@@ -10,7 +10,7 @@ import typing
 from dataclasses import fields, is_dataclass
 from typing import Any, Literal
 
-from toolkit.manifest import FORMAT, FORMAT_VERSION, SINCE_3, Manifest
+from toolkit.bundle.manifest import FORMAT, FORMAT_VERSION, SINCE_3, Manifest
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean"}

@@ -3,8 +3,8 @@
 A robot PC has no robosuite, and so not the cards in robots/, which say the same: a test holds both together. The sources stand there.
 """
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.errors import ToolkitError
-from toolkit.manifest import Manifest
 
 JOINT_SPEEDS: dict[str, tuple[float, ...]] = {
     "iiwa": (1.710, 1.710, 1.745, 2.268, 2.443, 3.141, 3.141),
