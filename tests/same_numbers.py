@@ -22,7 +22,7 @@ from toolkit.expert import load_expert
 from toolkit.learning.npg import NpgConfig
 from toolkit.packing import write_bundle
 from toolkit.pipeline import Job, Lab, Pipeline
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 from toolkit.settings import TransferConfig
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 

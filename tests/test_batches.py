@@ -20,10 +20,10 @@ from tasks.dexycb_standin import write_standin
 from toolkit import cli
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.phases import FOLDER, Phase, load_phases
 from toolkit.recordings import Broken, Studio, teachers_for
 from toolkit.results import finished_runs, write_results
-from toolkit.runs import Run
+from toolkit.runs.phases import FOLDER, Phase, load_phases
+from toolkit.runs.run import Run
 
 ROOT = Path(cli.__file__).parents[2]
 BRICK, BOX = "061_foam_brick", "008_pudding_box"

@@ -19,7 +19,7 @@ from toolkit.errors import ToolkitError
 from toolkit.io import claims
 from toolkit.io.atomic import write_atomically
 from toolkit.io.claims import LOCK, claim, claim_file, give_up, is_claimed
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 ROOT = Path(cli.__file__).parents[2]
 BRICK = "061_foam_brick"
@@ -117,7 +117,7 @@ def test_a_file_has_one_writer(tmp_path):
 
 def test_two_sittings_of_one_run(tmp_path):
     Run.create(tmp_path / "r", {"a": 1}).end()
-    holder = other(f"from toolkit.runs import Run\nrun = Run.open({str(tmp_path / 'r')!r}, {{'a': 1}})")
+    holder = other(f"from toolkit.runs.run import Run\nrun = Run.open({str(tmp_path / 'r')!r}, {{'a': 1}})")
     try:
         with pytest.raises(ToolkitError, match=f"is being written by process {holder.pid}"):
             Run.open(tmp_path / "r", {"a": 1})

@@ -14,7 +14,7 @@ import toolkit.pipeline
 from toolkit import cli
 from toolkit.cli import main
 from toolkit.cli.names import TARGETS, TASK
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 COMMANDS = (
     "robots", "match", "tree", "audit", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "stress",

@@ -36,7 +36,7 @@ from toolkit.expert import (
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 SOURCE = "adroit"
 CARDS = sorted(SHIPPED.glob("*.json"))

@@ -13,10 +13,10 @@ from toolkit.errors import ToolkitError
 from toolkit.expert import entry_names, load_expert
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.phases import ROLES, load_phases
 from toolkit.pipeline import Job, Pipeline
 from toolkit.recording.viewer import reader_of
-from toolkit.runs import Run
+from toolkit.runs.phases import ROLES, load_phases
+from toolkit.runs.run import Run
 from toolkit.settings import TransferConfig
 
 TARGET = "kinova3"

@@ -16,7 +16,7 @@ from toolkit.fuzz import _run_of
 from toolkit.recording import excerpt, viewer
 from toolkit.recording.stream import Stream
 from toolkit.results import finished_runs
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
         merged = None
 
         def tree(self):
-            from toolkit.runs import read_tree
+            from toolkit.runs.run import read_tree
 
             return read_tree(run.path)
 

@@ -18,7 +18,7 @@ from toolkit.errors import ToolkitError
 from toolkit.pipeline import _Told
 from toolkit.recording.stream import Stream, finish
 from toolkit.recording.viewer import chunks_of
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 POINTS = '{"source": {"name": "s", "alpha": [0, 0]}, "targets": [{"name": "a", "alpha": [1, 0]}, {"name": "b", "alpha": [0, 1]}]}'
 

@@ -8,7 +8,7 @@ from toolkit.expert import load_expert
 from toolkit.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
-from toolkit.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
+from toolkit.runs.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
 from toolkit.simulation.plant import merged_plant
 from toolkit.simulation.rollout import play
 

@@ -26,8 +26,8 @@ from toolkit.errors import ToolkitError
 from toolkit.fuzz import FORMATS, fuzz, outcome_of
 from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
 from toolkit.io.tensors import read_tensors
-from toolkit.phases import Phase, Take, load_phase
-from toolkit.runs import Run, read_report, read_tree, transfer_records
+from toolkit.runs.phases import Phase, Take, load_phase
+from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 
 BUNDLE = SHIPPED / "kinova3.zip"
 FILES = 40

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.expert import load_expert
-from toolkit.phases import Phase, Take, Witness, landmarks, load_phases
 from toolkit.plan import Plan, matrix
 from toolkit.recording import excerpt, learning, rollouts, shows, viewer
 from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import SHARE, Story
 from toolkit.recording.stream import Stream
-from toolkit.runs import Run
+from toolkit.runs.phases import Phase, Take, Witness, landmarks, load_phases
+from toolkit.runs.run import Run
 from toolkit.simulation.plant import merged_plant, native_plant
 from toolkit.simulation.rollout import play
 
@@ -520,5 +520,5 @@ def test_without_the_viewer_a_sentence_says_how_to_have_it():
 
 
 def test_training_code_needs_no_rerun():
-    program = "import sys, toolkit.phases, toolkit.runs, toolkit.pipeline; sys.exit('rerun' in sys.modules)"
+    program = "import sys, toolkit.runs.phases, toolkit.runs.run, toolkit.pipeline; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0

@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 from toolkit.furniture import furniture, opacity
 from toolkit.morphology.appearance import ROUND, Wardrobe, geom_triangles, simplified
 from toolkit.report import page, stills
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 BROWSER = next((found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))), None)

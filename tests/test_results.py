@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 from toolkit.errors import ToolkitError
 from toolkit.results import PAPER, finished_runs, read_result, results_json, write_results
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 
 
 def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_foam_brick"):

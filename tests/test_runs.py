@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit import runs
 from toolkit.errors import ToolkitError
-from toolkit.runs import Run, generator_from_state, generator_state
+from toolkit.runs.generators import generator_from_state, generator_state
+from toolkit.runs.run import Run
 
 CONFIG = {"seed": 3, "targets": ("jaco", "iiwa"), "learner": {"step": 0.05, "layers": [32, 32]}}
 
@@ -28,8 +28,8 @@ def test_create_explains_the_run(tmp_path: Path) -> None:
 
 
 def test_git_is_null_outside_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "__file__", str(tmp_path / "runs.py"))
-    assert runs.git_state() is None
+    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "provenance.py"))
+    assert provenance.git_state() is None
 
 
 def test_create_refuses_a_used_folder(tmp_path: Path) -> None:

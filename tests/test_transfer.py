@@ -23,7 +23,7 @@ from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored, SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 from toolkit.settings import CHECKING_SEEDS, TRAINING_SEEDS, TransferConfig
 from toolkit.transfer import Transfer
 

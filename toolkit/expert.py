@@ -16,7 +16,8 @@ from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
 from toolkit.morphology.build import MergedRobot
-from toolkit.runs import Run, generator_from_state, generator_state
+from toolkit.runs.generators import generator_from_state, generator_state
+from toolkit.runs.run import Run
 from toolkit.simulation.rollout import RolloutEngine
 
 Script = PickScript | TrackScript

@@ -35,12 +35,13 @@ from toolkit.deploy.runtime import TickLog, rehearse
 from toolkit.errors import ToolkitError
 from toolkit.evolution import load_points
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.phases import FOLDER, Phase, Take, load_phase
 from toolkit.plan import Plan
 from toolkit.quiet import work_quietly
 from toolkit.recording.deployment import read_log, record_deployment
 from toolkit.recording.viewer import chunks_of
-from toolkit.runs import Run, generator_from_state, generator_state, read_report, read_tree, transfer_records
+from toolkit.runs.generators import generator_from_state, generator_state
+from toolkit.runs.phases import FOLDER, Phase, Take, load_phase
+from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 from toolkit.simulation.divergence import Divergence
 
 PATIENCE = 30.0

@@ -57,7 +57,7 @@ from toolkit.learning.policy import GaussianPolicy
 from toolkit.loop import licence, read_simulation
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
-from toolkit.runs import git_state, recorded_versions
+from toolkit.runs.provenance import git_state, recorded_versions
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
 
 ZIPPED = "bundle.zip"

@@ -27,9 +27,9 @@ from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
-from toolkit.phases import Witness
 from toolkit.plan import Plan
-from toolkit.runs import Run, read_audit
+from toolkit.runs.phases import Witness
+from toolkit.runs.run import Run, read_audit
 from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine

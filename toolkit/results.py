@@ -19,7 +19,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, Waypoint
 from toolkit.io.jsonfiles import require
 from toolkit.io.quoting import letters, markdown
-from toolkit.runs import Run, read_report, read_tree, transfer_records
+from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 
 PAPER = {
     "HERD, independent": {"train_iterations": (38437, 2883), "sim_epochs": (185825, 16731)},

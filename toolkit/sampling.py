@@ -11,7 +11,7 @@ import numpy as np
 from toolkit.branch import Branch, Cost
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.runs import Run
+from toolkit.runs.run import Run
 from toolkit.settings import CHECKING_SEEDS, TRAINING_SEEDS
 
 LOOK = 8

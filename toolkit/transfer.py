@@ -27,7 +27,8 @@ from toolkit.learners import SearchLearner, WeightLearner
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, load_network, network_tensors
-from toolkit.runs import Run, generator_from_state, generator_state
+from toolkit.runs.generators import generator_from_state, generator_state
+from toolkit.runs.run import Run
 from toolkit.sampling import Player, Sampler
 from toolkit.settings import TransferConfig
 from toolkit.steering import heading, jacobian, sample_robots

@@ -263,7 +263,7 @@ def _loopback(listener: Any) -> bool:
 
 def _lineage(run: Path, target: str) -> "Lineage":
     from toolkit.bundle.manifest import Lineage
-    from toolkit.runs import read_nodes, read_success
+    from toolkit.runs.run import read_nodes, read_success
 
     tree, report = read_nodes(run), read_success(run)
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
@@ -281,7 +281,7 @@ def _lineage(run: Path, target: str) -> "Lineage":
 def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
     """Success as the run's report has it, or measured now."""
     from toolkit.bundle.manifest import Success
-    from toolkit.runs import read_success
+    from toolkit.runs.run import read_success
 
     report = read_success(run)
     found = report.get("targets", {}).get(target, {}).get("native")

@@ -68,7 +68,7 @@ def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":
 
 def transfer_config(folder: Path) -> dict:
     """Config of a transfer's run folder; it names its source, targets and task."""
-    from toolkit.runs import Run
+    from toolkit.runs.run import Run
 
     content = Run.open(folder).config
     missing = [key for key in ("source", "targets", "task") if key not in content]
@@ -90,7 +90,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
     from tasks.pick import ACTION, OBSERVATION
     from toolkit.expert import POLICY_FILE, entry_names
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.runs import continuing
+    from toolkit.runs.run import continuing
 
     content = transfer_config(folder)
     found = {}
@@ -117,7 +117,7 @@ def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "Gaussi
     from tasks.pick import ACTION, OBSERVATION
     from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.runs import Run
+    from toolkit.runs.run import Run
 
     if run in shipped_experts():
         source, task = shipped_pair(run)

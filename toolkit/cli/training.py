@@ -54,7 +54,7 @@ def expert(
     from toolkit.evaluation import evaluate_compiled, evaluate_native
     from toolkit.expert import POLICY_FILE, RECORDED, SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
     from toolkit.recordings import Studio, teachers_for
-    from toolkit.runs import Run
+    from toolkit.runs.run import Run
     from toolkit.simulation.rollout import RolloutEngine
 
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)

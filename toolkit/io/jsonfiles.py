@@ -1,8 +1,10 @@
-"""JSON from outside: the one way in which it is read, whatever it holds."""
+"""JSON: the one way in which it is read, whatever it holds, and what becomes of arrays and paths in it."""
 
 import json
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from toolkit.errors import ToolkitError
 
@@ -102,3 +104,16 @@ def _misfit(value: Any, shape: Any, place: str) -> tuple[str, str] | None:
     else:
         good = isinstance(value, shape) and (shape is bool or not isinstance(value, bool))
     return None if good else (place, f"is no {'text' if shape is str else 'number' if shape is float else shape.__name__}")
+
+
+def json_value(value: Any) -> Any:
+    """The value as JSON reads it back: tuples and arrays as lists, NumPy scalars as Python's, paths as text."""
+    if isinstance(value, dict):
+        return {str(key): json_value(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_value(entry) for entry in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    return value

@@ -16,7 +16,6 @@ from toolkit.io.quoting import markdown
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import Phase, Take
 from toolkit.plan import Plan
 from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
@@ -26,7 +25,8 @@ from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.story import Cost, Story, story_layout
 from toolkit.recording.stream import FILM, Stream
 from toolkit.recording.viewer import chunks_of
-from toolkit.runs import Run, continuing, read_tree, transfer_records
+from toolkit.runs.phases import Phase, Take
+from toolkit.runs.run import Run, continuing, read_tree, transfer_records
 from toolkit.settings import CHECKING_SEEDS
 from toolkit.simulation.plant import Plant, merged_plant
 

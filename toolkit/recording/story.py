@@ -19,7 +19,6 @@ from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.plan import Plan
 from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.recording.layout import page_timeline, pages_layout, robot_view
@@ -27,6 +26,7 @@ from toolkit.recording.learning import LearningPage, learning_views
 from toolkit.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.recording.scene import Casting, Scene
 from toolkit.recording.stream import Stream
+from toolkit.runs.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.simulation.plant import Plant, merged_plant
 
 MORPH_RATE = 20.0

@@ -15,11 +15,11 @@ from toolkit.errors import ToolkitError
 from toolkit.io.atomic import write_atomically
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import Phase, load_phases
 from toolkit.plan import Plan
 from toolkit.report import figures
 from toolkit.report.stills import Studio
-from toolkit.runs import Run, read_audit, read_report, transfer_records
+from toolkit.runs.phases import Phase, load_phases
+from toolkit.runs.run import Run, read_audit, read_report, transfer_records
 
 STILLS = 8
 """Along each path."""

@@ -18,10 +18,10 @@ from toolkit.io.quoting import plain
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.phases import Phase, Take, landmarks, load_phases
 from toolkit.recording.scene import Cast, Casting
 from toolkit.report.stills import Studio
-from toolkit.runs import read_report
+from toolkit.runs.phases import Phase, Take, landmarks, load_phases
+from toolkit.runs.run import read_report
 from toolkit.simulation.plant import Plant, merged_plant
 
 SIZE = 720, 540

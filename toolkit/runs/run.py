@@ -13,29 +13,24 @@ Every file but metrics.jsonl appears whole or not at all; a torn last line of me
 import json
 import math
 import os
-import platform
 import re
 import shutil
-import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from safetensors.numpy import save as safetensors_bytes
 
-from toolkit import __version__
 from toolkit.errors import ToolkitError
 from toolkit.io.atomic import write_atomically
 from toolkit.io.claims import LOCK, claim, give_up
-from toolkit.io.jsonfiles import content_of, parsed, parsed_object, read_object, require
+from toolkit.io.jsonfiles import content_of, json_value, parsed, parsed_object, read_object, require
 from toolkit.io.quoting import told
 from toolkit.io.tensors import read_tensors
+from toolkit.runs.provenance import git_state, recorded_versions
 
-RECORDED_PACKAGES = ("mujoco", "robosuite", "torch", "pin", "mink", "rerun-sdk", "numpy", "numba", "onnx", "onnxruntime")
-BIT_GENERATORS = ("PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64")
 ABSENT = "(absent)"
 CLAIMED = "wait until it has ended, or end it"
 """The mend where another process works on a run."""
@@ -76,7 +71,7 @@ class Run:
         """
         path = Path(path)
         made = next((parent for parent in [*reversed(path.parents), path] if not parent.exists()), None)
-        run = cls(path, _plain(config))
+        run = cls(path, json_value(config))
         try:
             path.mkdir(parents=True, exist_ok=True)
             claim(path, CLAIMED)
@@ -115,7 +110,7 @@ class Run:
             raise ToolkitError(f"run folder {path} does not exist; check the path")
         stored = _read_json_object(path / "config.json", "start the run again under another --run")
         if config is not None:
-            for key, old, new in _differences(stored, _plain(config)):
+            for key, old, new in _differences(stored, json_value(config)):
                 raise ToolkitError(
                     f"run {path} was started with {key} = {old}, not {new}; give the same {key}, or choose another --run"
                 )
@@ -158,7 +153,7 @@ class Run:
 
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add one line to metrics.jsonl, on disk when this returns. NaN and infinities are written as null."""
-        line = json.dumps(_finite(_plain(record)), allow_nan=False) + "\n"
+        line = json.dumps(_finite(json_value(record)), allow_nan=False) + "\n"
         try:
             with open(self.path / "metrics.jsonl", "ab") as file:
                 file.write(line.encode())
@@ -243,7 +238,7 @@ class Run:
 
     def write_json(self, name: str, content: dict[str, Any]) -> None:
         """Write <name>.json. NaN and infinities are written as null."""
-        self._write(f"{name}.json", _json_bytes(_finite(_plain(content)), name))
+        self._write(f"{name}.json", _json_bytes(_finite(json_value(content)), name))
 
     def write_summary(self, text: str) -> None:
         """Write summary.md [Markdown]."""
@@ -381,50 +376,6 @@ def transfer_records(run: Run) -> list[dict[str, Any]]:
     return records
 
 
-def generator_state(generator: np.random.Generator) -> dict[str, Any]:
-    """The exact state of a random generator as JSON values."""
-    return _plain(generator.bit_generator.state)
-
-
-def generator_from_state(state: dict[str, Any]) -> np.random.Generator:
-    """A generator that continues where `generator_state` was taken.
-
-    Raises:
-        ToolkitError: not the state of one of NumPy's generators.
-    """
-    name = state.get("bit_generator") if isinstance(state, dict) else state
-    if name not in BIT_GENERATORS:
-        raise ToolkitError(f"random generator {str(name)[:40]!r} is unknown; it must be one of {', '.join(BIT_GENERATORS)}")
-    bits = getattr(np.random, name)()
-    try:
-        bits.state = _like(state, bits.state)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ToolkitError(f"the saved state of random generator {name} is damaged ({error}); use another checkpoint") from None
-    return np.random.Generator(bits)
-
-
-def _like(value: Any, example: Any) -> Any:
-    """`value` from JSON with lists turned back into arrays of the example's dtype."""
-    if isinstance(example, dict):
-        return {key: _like(value[key], example[key]) for key in example}
-    if isinstance(example, np.ndarray):
-        return np.array(value, dtype=example.dtype)
-    return value
-
-
-def _plain(value: Any) -> Any:
-    """The value as JSON reads it back: tuples and arrays as lists, NumPy scalars as Python's, paths as text."""
-    if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    if isinstance(value, Path):
-        return str(value)
-    return value
-
-
 def _finite(value: Any) -> Any:
     """The plain value with NaN and infinities as None, which strict JSON readers need."""
     if isinstance(value, dict):
@@ -436,7 +387,7 @@ def _finite(value: Any) -> Any:
 
 def _json_bytes(value: Any, what: str) -> bytes:
     try:
-        return (json.dumps(_plain(value), indent=2) + "\n").encode()
+        return (json.dumps(json_value(value), indent=2) + "\n").encode()
     except (TypeError, ValueError) as error:
         raise ToolkitError(f"{what} cannot be stored as JSON ({error}); use numbers, text, lists and dictionaries") from None
 
@@ -458,30 +409,3 @@ def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, Any, 
 
 def _unwritable(path: Path, error: OSError) -> ToolkitError:
     return ToolkitError(f"{path} cannot be written ({error.strerror}); free space or permissions there, or choose another --run")
-
-
-def recorded_versions() -> dict[str, str | None]:
-    """Versions of what determines a run's numbers; None where a package is absent. No host name, no path."""
-    versions: dict[str, str | None] = {"meta-evolve": __version__, "python": platform.python_version()}
-    for package in RECORDED_PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = None
-    return versions | {"platform": f"{platform.system()} {platform.machine()}"}
-
-
-def git_state() -> dict[str, Any] | None:
-    """Commit of the checkout that this file belongs to; None when installed or when git is not there."""
-
-    def git(*arguments: str) -> str:
-        answer = subprocess.run(
-            ["git", "-C", str(Path(__file__).parent), *arguments], capture_output=True, text=True, check=True, timeout=20
-        )
-        return answer.stdout.strip()
-
-    try:
-        git("ls-files", "--error-unmatch", Path(__file__).name)  # fails in another project's checkout around a venv
-        return {"commit": git("rev-parse", "HEAD"), "dirty": bool(git("status", "--porcelain"))}
-    except (OSError, subprocess.SubprocessError):
-        return None
