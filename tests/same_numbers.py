@@ -21,10 +21,10 @@ from toolkit.evaluation import NativeRobot, evaluate_merged
 from toolkit.expert import load_expert
 from toolkit.learning.npg import NpgConfig
 from toolkit.packing import write_bundle
-from toolkit.pipeline import Job, Lab, Pipeline
 from toolkit.runs.run import Run
-from toolkit.settings import TransferConfig
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.transfer.pipeline import Job, Lab, Pipeline
+from toolkit.transfer.settings import TransferConfig
 
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
 PLACES = {"git.json", "versions.json", "recording.rrd", "metrics.jsonl", "report.json", "summary.md", "transfer.safetensors"}

@@ -188,8 +188,9 @@ def test_a_broken_run_is_left_out_of_the_page(tmp_path):
 
 
 def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypatch, capsys):
-    from toolkit import pipeline, results
+    from toolkit import results
     from toolkit.cli import benchmarks
+    from toolkit.transfer.meta_evolve import pipeline
 
     entries = {name: benchmarks.Entry() for name in ("first", "second", "third")}
     monkeypatch.setattr(benchmarks, "SUITES", {"s": entries})

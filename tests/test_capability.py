@@ -19,8 +19,8 @@ from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
 from toolkit.morphology import parity
 from toolkit.morphology.linkage import BOX_WIDTH, closed_on_box
-from toolkit.pipeline import Lab
 from toolkit.simulation.plant import merged_plant
+from toolkit.transfer.pipeline import Lab
 
 
 @pytest.fixture(scope="module")

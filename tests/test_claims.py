@@ -178,7 +178,7 @@ def test_an_atomic_write_leaves_nothing_behind(tmp_path):
 
 
 def test_a_transfer_whose_preparation_fails_leaves_no_folder(tmp_path, monkeypatch, capsys):
-    import toolkit.pipeline as pipeline
+    import toolkit.transfer.pipeline as pipeline
     from toolkit.expert import new_learner
 
     monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import toolkit.pipeline
+import toolkit.transfer.pipeline
 from toolkit import cli
 from toolkit.cli import main
 from toolkit.cli.names import TARGETS, TASK
@@ -36,8 +36,8 @@ def at_home(tmp_path, monkeypatch):
 @pytest.fixture
 def learner(monkeypatch):
     """An untrained learner instead of the shipped expert, which these tests do not need."""
-    from toolkit import pipeline
     from toolkit.expert import new_learner
+    from toolkit.transfer.meta_evolve import pipeline
 
     monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))
 
@@ -151,7 +151,7 @@ def test_resuming_what_is_not_there_says_so(capsys, learner):
 def test_resuming_with_another_config_names_the_difference(capsys, learner, asked, said):
     from robots import ROBOTS
     from tasks import TASKS
-    from toolkit.pipeline import PRESETS, Job, transfer_config
+    from toolkit.transfer.pipeline import PRESETS, Job, transfer_config
 
     started = transfer_config("quick", "steiner", "l1", 0)
     goals = tuple(ROBOTS[name] for name in TARGETS)
@@ -401,7 +401,7 @@ def test_robots(capsys):
 def lab(monkeypatch, space, merged, task):
     """The tests' own merged robot, for commands that would merge the same robots again."""
     from robots import ROBOTS
-    from toolkit.pipeline import Lab
+    from toolkit.transfer.pipeline import Lab
 
     made = Lab.__new__(Lab)
     made.source, *targets = (ROBOTS[name] for name in space.matching.names)
@@ -411,7 +411,7 @@ def lab(monkeypatch, space, merged, task):
         assert [source.name, *(robot.name for robot in targets)] == list(space.matching.names) and what == task
         return made
 
-    monkeypatch.setattr(toolkit.pipeline, "Lab", same)
+    monkeypatch.setattr(toolkit.transfer.pipeline, "Lab", same)
     return made
 
 
@@ -607,7 +607,7 @@ def test_ctrl_c_is_no_traceback(capsys, monkeypatch, points):
 
 @pytest.mark.parametrize("given", [[], ["--resume"]])
 def test_ctrl_c_says_the_whole_command_that_goes_on(capsys, monkeypatch, given):
-    from toolkit import pipeline
+    from toolkit.transfer.meta_evolve import pipeline
 
     def stopped(*_):
         raise KeyboardInterrupt
@@ -621,7 +621,7 @@ def test_ctrl_c_says_the_whole_command_that_goes_on(capsys, monkeypatch, given):
 
 def test_an_unfinished_run_is_continued_by_the_command_that_started_it(capsys, monkeypatch, trained):
     """Quoted anew, whatever the file says: it may come from anywhere."""
-    from toolkit import pipeline
+    from toolkit.transfer.meta_evolve import pipeline
 
     class Stopped:
         def __init__(self, *_):

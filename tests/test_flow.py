@@ -13,11 +13,11 @@ from toolkit.errors import ToolkitError
 from toolkit.expert import entry_names, load_expert
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.pipeline import Job, Pipeline
 from toolkit.recording.viewer import reader_of
 from toolkit.runs.phases import ROLES, load_phases
 from toolkit.runs.run import Run
-from toolkit.settings import TransferConfig
+from toolkit.transfer.pipeline import Job, Pipeline
+from toolkit.transfer.settings import TransferConfig
 
 TARGET = "kinova3"
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
@@ -160,7 +160,7 @@ def test_the_summary_is_the_report_in_words(played):
 
 def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypatch):
     """A copy of the folder, made when an update is on disk and its checkpoint is not, is what a kill leaves there."""
-    monkeypatch.setattr("toolkit.pipeline.load_expert", bent_expert)
+    monkeypatch.setattr("toolkit.transfer.pipeline.load_expert", bent_expert)
     npg = NpgConfig(batch_size=6)
     short = TransferConfig(xi=4.0, check_episodes=2, goal_episodes=2, path_budget=12, check_every=2, npg=npg)
     trained = Job(job.source, job.targets, job.task, short, evaluation_episodes=1)

@@ -19,10 +19,10 @@ from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal, evolution_tree, plot_tree
 from toolkit.fuzz import _report_of, _run_of
 from toolkit.io.quoting import markdown, plain, told
-from toolkit.pipeline import summary
 from toolkit.plan import Plan
 from toolkit.report import figures, page
 from toolkit.results import read_result, write_results
+from toolkit.transfer.pipeline import summary
 
 NAMES = (
     "a[/right]", "a[left]", "[bold red]x[/]", "[link=file:///etc]x[/link]", "a|b", "**a**", "_a_",

@@ -11,14 +11,14 @@ import time
 import numpy as np
 import pytest
 
-import toolkit.pipeline as pipeline
+import toolkit.transfer.pipeline as pipeline
 from toolkit.cli import main
 from toolkit.cli.terminal import Progress, room_for
 from toolkit.errors import ToolkitError
-from toolkit.pipeline import _Told
 from toolkit.recording.stream import Stream, finish
 from toolkit.recording.viewer import chunks_of
 from toolkit.runs.run import Run
+from toolkit.transfer.pipeline import _Told
 
 POINTS = '{"source": {"name": "s", "alpha": [0, 0]}, "targets": [{"name": "a", "alpha": [1, 0]}, {"name": "b", "alpha": [0, 1]}]}'
 

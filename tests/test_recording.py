@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[1]
 def small(task):
     """ADROIT and Jaco, merged."""
     from robots import ROBOTS
-    from toolkit.pipeline import Lab
+    from toolkit.transfer.pipeline import Lab
 
     return Lab(ROBOTS["adroit"], [ROBOTS["jaco"]], task)
 
@@ -511,7 +511,7 @@ def test_without_the_viewer_a_sentence_says_how_to_have_it():
         "import sys; sys.modules['rerun'] = None; from toolkit.cli import main\n"
         "import importlib.util; found = importlib.util.find_spec\n"
         "importlib.util.find_spec = lambda name, *more: None if name == 'rerun' else found(name, *more)\n"
-        "from toolkit.quiet import silence_robosuite; silence_robosuite(); import toolkit.pipeline; main(['view', 'run.rrd'])"
+        "from toolkit.quiet import silence_robosuite; silence_robosuite(); import toolkit.transfer.pipeline; main(['view', 'run.rrd'])"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
                           text=True)  # fmt: skip
@@ -520,5 +520,5 @@ def test_without_the_viewer_a_sentence_says_how_to_have_it():
 
 
 def test_training_code_needs_no_rerun():
-    program = "import sys, toolkit.runs.phases, toolkit.runs.run, toolkit.pipeline; sys.exit('rerun' in sys.modules)"
+    program = "import sys, toolkit.runs.phases, toolkit.runs.run, toolkit.transfer.pipeline; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0

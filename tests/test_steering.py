@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolkit.steering import TRUST, heading, jacobian, sample_robots
+from toolkit.transfer.steering import TRUST, heading, jacobian, sample_robots
 
 
 def test_the_jacobian_of_a_linear_return_is_found_wherever_it_was_sampled():

@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.pipeline import Job
+    from toolkit.transfer.pipeline import Job
 
 bench = tyro.extras.SubcommandApp()
 
@@ -38,7 +38,7 @@ class Entry:
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
-        from toolkit.pipeline import Job, transfer_config
+        from toolkit.transfer.pipeline import Job, transfer_config
 
         overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
                      "learner": self.learner, "exploration": self.exploration}
@@ -164,7 +164,7 @@ def bench_transfer(
 def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
     """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
     from toolkit.expert import load_expert
-    from toolkit.pipeline import Pipeline
+    from toolkit.transfer.pipeline import Pipeline
 
     for job in jobs.values():  # say what is missing before hours are spent
         load_expert(job.source.name, job.task.name, job.expert)

@@ -11,7 +11,7 @@ from toolkit.errors import ToolkitError
 if TYPE_CHECKING:
     from robots.robot import Robot
     from toolkit.morphology.matching import Matching
-    from toolkit.pipeline import Lab
+    from toolkit.transfer.pipeline import Lab
 
 
 def robots(check: str | None = None, json: bool = False) -> None:

@@ -164,7 +164,7 @@ def transfer(
     """
     said = _said(transfer, locals(), leave_out=("run", "resume", "json"))
     robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
-    from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
+    from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
     config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
                              exploration=exploration)  # fmt: skip

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolkit.branch import TURNS, Branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal
 from toolkit.learning.exploration import Directions, Explored, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.npg import Demonstrations, npg_step
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.sampling import LOOK, Player, Sampler, mean_of
-from toolkit.settings import DEMONSTRATION_SEEDS, TransferConfig
+from toolkit.transfer.branch import TURNS, Branch
+from toolkit.transfer.sampling import LOOK, Player, Sampler, mean_of
+from toolkit.transfer.settings import DEMONSTRATION_SEEDS, TransferConfig
 
 
 class WeightLearner:

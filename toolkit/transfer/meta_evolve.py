@@ -18,20 +18,20 @@ from typing import Any, Literal
 
 import numpy as np
 
-from toolkit.asking import Asking
-from toolkit.branch import Branch, Cost, stored_branch
 from toolkit.errors import ToolkitError
 from toolkit.evolution import MetaStep, Terminal, next_meta_robot
 from toolkit.evolution.bend import Bend
-from toolkit.learners import SearchLearner, WeightLearner
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored
 from toolkit.learning.policy import GaussianPolicy, ValueFunction, load_network, network_tensors
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
-from toolkit.sampling import Player, Sampler
-from toolkit.settings import TransferConfig
-from toolkit.steering import heading, jacobian, sample_robots
+from toolkit.transfer.asking import Asking
+from toolkit.transfer.branch import Branch, Cost, stored_branch
+from toolkit.transfer.learners import SearchLearner, WeightLearner
+from toolkit.transfer.sampling import Player, Sampler
+from toolkit.transfer.settings import TransferConfig
+from toolkit.transfer.steering import heading, jacobian, sample_robots
 
 LOOKS = (1.0, 0.75, 0.5, 0.25, 0.125)
 """Shares of the way ahead at which a phase begins by looking, the farthest first: success is not monotone along a way, so a failure

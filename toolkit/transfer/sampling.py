@@ -8,11 +8,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from toolkit.branch import Branch, Cost
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.runs.run import Run
-from toolkit.settings import CHECKING_SEEDS, TRAINING_SEEDS
+from toolkit.transfer.branch import Branch, Cost
+from toolkit.transfer.settings import CHECKING_SEEDS, TRAINING_SEEDS
 
 LOOK = 8
 """Episodes of the first part of a measurement, after which a look may end it; and of the first part of a search's first batch."""

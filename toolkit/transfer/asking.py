@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.branch import Branch, stored_branch
 from toolkit.evolution import Metric
 from toolkit.evolution.geometry import distances
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.transfer.branch import Branch, stored_branch
 
 
 @dataclass(frozen=True)

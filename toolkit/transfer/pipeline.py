@@ -11,7 +11,6 @@ import numpy as np
 
 from robots.robot import Robot
 from tasks.pick import EXPLORED_DEVIATION, RESPONDING_DEVIATION, PickTask
-from toolkit.branch import Branch
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
@@ -30,10 +29,11 @@ from toolkit.morphology.space import EvolutionSpace
 from toolkit.plan import Plan
 from toolkit.runs.phases import Witness
 from toolkit.runs.run import Run, read_audit
-from toolkit.settings import Method, TransferConfig
 from toolkit.simulation.plant import Plant, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
-from toolkit.transfer import Transfer
+from toolkit.transfer.branch import Branch
+from toolkit.transfer.meta_evolve import Transfer
+from toolkit.transfer.settings import Method, TransferConfig
 
 if TYPE_CHECKING:  # a transfer needs no viewer: it is imported where a run is recorded
     from toolkit.recording.story import Cost, Story
