@@ -19,8 +19,8 @@ from tasks.dexycb import read_recording, sequences
 from tasks.dexycb_standin import write_standin
 from toolkit import cli
 from toolkit.cli import main
+from toolkit.demonstrations.rehearsal import Broken, Studio, teachers_for
 from toolkit.errors import ToolkitError
-from toolkit.recordings import Broken, Studio, teachers_for
 from toolkit.results import finished_runs, write_results
 from toolkit.runs.phases import FOLDER, Phase, load_phases
 from toolkit.runs.run import Run

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE
-from toolkit.demonstrations import entry
+from toolkit.demonstrations.scripts import entry
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import GRIP_SITE, arm_joints

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE
-from toolkit.demonstrations import PickScript
+from toolkit.demonstrations.scripts import PickScript
 from toolkit.evaluation import Evaluation
 
 

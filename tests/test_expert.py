@@ -13,7 +13,7 @@ from robots import ROBOTS
 from tasks import TASKS
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
-from toolkit.demonstrations import FINGER_DEPTH, PickScript, entry, pick_script
+from toolkit.demonstrations.scripts import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
 from toolkit.expert import (

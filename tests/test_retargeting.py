@@ -15,10 +15,11 @@ from tasks.dexycb import FINGERS, JOINT_NAMES
 from tasks.dexycb_standin import SERIALS, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
-from toolkit.demonstrations import Track, TrackScript, _stretch, entry
+from toolkit.demonstrations.rehearsal import Dropped, Studio, teachers_for
+from toolkit.demonstrations.retargeting import PREFIX, REACHABLE, HandModel, touching
+from toolkit.demonstrations.scripts import _stretch, entry
+from toolkit.demonstrations.tracks import Track, TrackScript
 from toolkit.errors import ToolkitError
-from toolkit.recordings import Dropped, Studio, teachers_for
-from toolkit.retargeting import PREFIX, REACHABLE, HandModel, touching
 from toolkit.simulation.plant import CLOSING
 
 BOX, CAN = OBJECTS["061_foam_brick"], OBJECTS["005_tomato_soup_can"]

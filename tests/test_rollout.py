@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE
-from toolkit.demonstrations import PickScript
+from toolkit.demonstrations.scripts import PickScript
 from toolkit.errors import ToolkitError
 from toolkit.simulation.divergence import Divergence, replay
 from toolkit.simulation.plant import merged_plant

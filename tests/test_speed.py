@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit.demonstrations import PickScript
+from toolkit.demonstrations.scripts import PickScript
 from toolkit.evaluation import NativeRobot
 from toolkit.expert import load_expert
 from toolkit.morphology.build import MergedRobot

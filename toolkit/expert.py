@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, PickTask
-from toolkit.demonstrations import PickScript, TrackScript, pick_script
+from toolkit.demonstrations.scripts import PickScript, pick_script
+from toolkit.demonstrations.tracks import TrackScript
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 from toolkit.learning.cloning import CloningConfig, clone

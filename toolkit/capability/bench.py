@@ -11,7 +11,7 @@ import numpy as np
 
 from grippers.gripper import COMMANDED_ROLES
 from tasks.pick import ACTION_SIZE, START_POSITION, START_ROTATION
-from toolkit.demonstrations import PickScript, pick_script
+from toolkit.demonstrations.scripts import PickScript, pick_script
 from toolkit.morphology.build import HAND_BIT, MergedRobot
 from toolkit.morphology.linkage import BOX_HALF_SIZE, SETTLED, closed_on_box
 from toolkit.simulation.plant import Plant, merged_plant

@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.recordings import Demonstration, Studio
+    from toolkit.demonstrations.rehearsal import Demonstration, Studio
 
 recordings = tyro.extras.SubcommandApp()
 
@@ -126,7 +126,7 @@ def retarget_recordings(
         json: print one JSON object.
     """
     robot = find_robot(source)
-    from toolkit.recordings import Broken, Dropped, Studio
+    from toolkit.demonstrations.rehearsal import Broken, Dropped, Studio
 
     studio = Studio(root, robot, frame_rate)
     unknown = [name for name in only if name not in studio.names]

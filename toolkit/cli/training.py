@@ -51,9 +51,9 @@ def expert(
         raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
                            "least one episode and one demonstration, updates and seed from 0 on")  # fmt: skip
     robot, what = find_robot(source), find_task(task)
+    from toolkit.demonstrations.rehearsal import Studio, teachers_for
     from toolkit.evaluation import evaluate_compiled, evaluate_native
     from toolkit.expert import POLICY_FILE, RECORDED, SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
-    from toolkit.recordings import Studio, teachers_for
     from toolkit.runs.run import Run
     from toolkit.simulation.rollout import RolloutEngine
 

@@ -22,7 +22,7 @@ from tasks.dexycb import FINGERS, JOINT_NAMES, Recording
 from tasks.dexycb_scene import Scene
 from tasks.objects import PickObject
 from tasks.pick import START_ROTATION
-from toolkit.demonstrations import Track
+from toolkit.demonstrations.tracks import Track
 from toolkit.errors import ToolkitError
 
 PREFIX = {"thumb": "TH", "index": "FF", "middle": "MF", "ring": "RF", "little": "LF"}

@@ -12,10 +12,10 @@ from robots.robot import Robot
 from tasks.dexycb import FRAME_RATE, Recording, RecordingError, grasped_object, read_recording, read_vertices, sequences
 from tasks.dexycb_scene import Scene, SceneError, scene_of
 from tasks.pick import PickTask
-from toolkit.demonstrations import Track, TrackScript
+from toolkit.demonstrations.retargeting import HandModel, HandMotion, retarget, track_of
+from toolkit.demonstrations.tracks import Track, TrackScript
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
-from toolkit.retargeting import HandModel, HandMotion, retarget, track_of
 from toolkit.simulation.plant import CLOSING, Plant, native_plant
 from toolkit.simulation.rollout import Tape, play
 
