@@ -95,7 +95,7 @@ def engine(merged):
 def restless():
     """seed -> a random policy, restless enough to reach the clip."""
     from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE
-    from toolkit.expert import entry_names
+    from toolkit.expert.shelf import entry_names
     from toolkit.learning.policy import GaussianPolicy
 
     def make(seed):

@@ -18,7 +18,7 @@ from tasks import TASKS
 from toolkit.bundle.manifest import Lineage, Success
 from toolkit.datasheet import model_sha256
 from toolkit.evaluation import NativeRobot, evaluate_merged
-from toolkit.expert import load_expert
+from toolkit.expert.shelf import load_expert
 from toolkit.learning.npg import NpgConfig
 from toolkit.packing import write_bundle
 from toolkit.runs.run import Run

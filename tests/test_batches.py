@@ -161,7 +161,7 @@ def test_broken_cards_stop_no_other_robot(user):
 
 
 def test_a_target_without_a_policy_leaves_the_others_evaluated(tmp_path, capsys):
-    from toolkit.expert import new_learner
+    from toolkit.expert.training import new_learner
 
     run = Run.create(tmp_path / "r", {"source": "adroit", "targets": ["kinova3", "iiwa", "jaco"], "task": BRICK})
     new_learner(0)[0].save(run.path / "kinova3.policy.safetensors")
@@ -190,7 +190,7 @@ def test_a_broken_run_is_left_out_of_the_page(tmp_path):
 def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypatch, capsys):
     from toolkit import results
     from toolkit.cli import benchmarks
-    from toolkit.transfer.meta_evolve import pipeline
+    from toolkit.transfer import pipeline
 
     entries = {name: benchmarks.Entry() for name in ("first", "second", "third")}
     monkeypatch.setattr(benchmarks, "SUITES", {"s": entries})

@@ -23,7 +23,7 @@ from toolkit.datasheet import model_sha256
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.runtime import replay_golden
 from toolkit.errors import ToolkitError
-from toolkit.expert import entry_names
+from toolkit.expert.shelf import entry_names
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import arm_joints
 from toolkit.packing import LOST_BELOW, check_records, write_bundle

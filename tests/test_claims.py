@@ -179,7 +179,7 @@ def test_an_atomic_write_leaves_nothing_behind(tmp_path):
 
 def test_a_transfer_whose_preparation_fails_leaves_no_folder(tmp_path, monkeypatch, capsys):
     import toolkit.transfer.pipeline as pipeline
-    from toolkit.expert import new_learner
+    from toolkit.expert.training import new_learner
 
     monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))
 
@@ -248,7 +248,7 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
     from toolkit import packing
     from toolkit.bundle.manifest import Lineage, Success
     from toolkit.bundle.reading import SHIPPED, load_bundle
-    from toolkit.expert import load_expert
+    from toolkit.expert.shelf import load_expert
 
     with zipfile.ZipFile(SHIPPED / "kinova3.zip") as archive:
         archive.extractall(tmp_path)

@@ -36,8 +36,8 @@ def at_home(tmp_path, monkeypatch):
 @pytest.fixture
 def learner(monkeypatch):
     """An untrained learner instead of the shipped expert, which these tests do not need."""
-    from toolkit.expert import new_learner
-    from toolkit.transfer.meta_evolve import pipeline
+    from toolkit.expert.training import new_learner
+    from toolkit.transfer import pipeline
 
     monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))
 
@@ -45,7 +45,7 @@ def learner(monkeypatch):
 @pytest.fixture
 def trained(tmp_path):
     """A run folder with a policy for kinova3, as `evaluate` and `export` want it."""
-    from toolkit.expert import new_learner
+    from toolkit.expert.training import new_learner
 
     run = Run.create(tmp_path / "trained", {"source": "adroit", "targets": ["kinova3", "iiwa"], "task": TASK})
     new_learner(0)[0].save(run.path / "kinova3.policy.safetensors")
@@ -199,7 +199,7 @@ def test_an_expert_has_one_target_its_source(capsys):
 @pytest.mark.parametrize("kept", ["name", "folder"])
 def test_an_expert_is_evaluated_by_name_and_from_its_run_folder(capsys, monkeypatch, kept):
     from toolkit import evaluation
-    from toolkit.expert import load_expert
+    from toolkit.expert.shelf import load_expert
 
     policy, _ = load_expert("adroit", TASK)
     Run.create("expert", {"source": "adroit", "task": TASK, "demos": None})
@@ -607,7 +607,7 @@ def test_ctrl_c_is_no_traceback(capsys, monkeypatch, points):
 
 @pytest.mark.parametrize("given", [[], ["--resume"]])
 def test_ctrl_c_says_the_whole_command_that_goes_on(capsys, monkeypatch, given):
-    from toolkit.transfer.meta_evolve import pipeline
+    from toolkit.transfer import pipeline
 
     def stopped(*_):
         raise KeyboardInterrupt
@@ -621,7 +621,7 @@ def test_ctrl_c_says_the_whole_command_that_goes_on(capsys, monkeypatch, given):
 
 def test_an_unfinished_run_is_continued_by_the_command_that_started_it(capsys, monkeypatch, trained):
     """Quoted anew, whatever the file says: it may come from anywhere."""
-    from toolkit.transfer.meta_evolve import pipeline
+    from toolkit.transfer import pipeline
 
     class Stopped:
         def __init__(self, *_):

@@ -16,21 +16,14 @@ from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
 from toolkit.demonstrations.scripts import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
-from toolkit.expert import (
+from toolkit.expert.shelf import RECORDED, SHIPPED, entry_names, expert_files, load_expert, save_expert, shipped_experts, shipped_pair
+from toolkit.expert.training import (
     DEMONSTRATION_SEEDS,
     OBSERVATION_NOISE,
-    RECORDED,
-    SHIPPED,
     ExpertConfig,
     NoisyScript,
     _with_noise,
-    entry_names,
-    expert_files,
-    load_expert,
     new_learner,
-    save_expert,
-    shipped_experts,
-    shipped_pair,
     train_expert,
 )
 from toolkit.learning.cloning import CloningConfig
@@ -100,7 +93,7 @@ def test_noisy_copies_keep_the_original_and_the_label_of_what_is_seen(demonstrat
 
 def test_finger_noise_alone_keeps_every_label(demonstrations, monkeypatch):
     fingers = np.array([name.startswith("finger/") for name in entry_names(OBSERVATION)])
-    monkeypatch.setattr("toolkit.expert.OBSERVATION_NOISE", np.where(fingers, OBSERVATION_NOISE, 0.0))
+    monkeypatch.setattr("toolkit.expert.training.OBSERVATION_NOISE", np.where(fingers, OBSERVATION_NOISE, 0.0))
     observations = demonstrations[0].observations
     seen, labels = _with_noise(observations, PickScript(), 3, np.random.default_rng(0))
     assert (seen[len(observations) :, fingers] != np.tile(observations, (3, 1))[:, fingers]).all()
@@ -209,7 +202,7 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
 def test_an_expert_comes_back_as_it_was_saved(tmp_path, monkeypatch):
     policy, value = new_learner(3)
     save_expert(policy, value, tmp_path / "new" / "folder", "arm-cup", {"command": "made by hand"})
-    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path / "new" / "folder")
+    monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path / "new" / "folder")
     again, critic = load_expert("arm", "cup")
     np.testing.assert_array_equal(again.parameters, policy.parameters)
     np.testing.assert_array_equal(critic.parameters, value.parameters)
@@ -220,7 +213,7 @@ def test_any_expert_can_be_named(tmp_path, monkeypatch):
     policy, value = new_learner(3)
     save_expert(policy, value, tmp_path, "arm-cup-recordings", {})
     np.testing.assert_array_equal(load_expert("arm", "cup", str(tmp_path / "arm-cup-recordings"))[0].parameters, policy.parameters)
-    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path)
+    monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
     np.testing.assert_array_equal(load_expert("arm", "mug", "arm-cup-recordings")[0].parameters, policy.parameters)
     with pytest.raises(ToolkitError, match="there is no expert 'arm-mug'.*arm-cup-recordings"):
         load_expert("arm", "cup", "arm-mug")
@@ -236,7 +229,7 @@ def test_an_unknown_pair_gets_the_command_that_trains_it(source, task):
 
 
 def test_a_scripted_expert_goes_before_a_recorded_one_and_the_task_before_its_wide_variant(tmp_path, monkeypatch):
-    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path)
+    monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
     order = ["arm-cup-wide-recordings", "arm-cup-recordings", "arm-cup-wide", "arm-cup"]
     for name in order:
         save_expert(*new_learner(0), tmp_path, name, {})
@@ -249,7 +242,7 @@ def test_a_pair_of_which_half_is_missing_is_refused(tmp_path, monkeypatch):
     policy, value = new_learner(0)
     save_expert(policy, value, tmp_path, "arm-cup", {})
     (tmp_path / "arm-cup.value.safetensors").unlink()
-    monkeypatch.setattr("toolkit.expert.SHIPPED", tmp_path)
+    monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
     with pytest.raises(ToolkitError, match="arm-cup.value.safetensors does not exist"):
         load_expert("arm", "cup")
 

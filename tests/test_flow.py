@@ -10,7 +10,7 @@ import pytest
 from robots import ROBOTS
 from tasks.pick import ACTION, OBSERVATION
 from toolkit.errors import ToolkitError
-from toolkit.expert import entry_names, load_expert
+from toolkit.expert.shelf import entry_names, load_expert
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.recording.viewer import reader_of

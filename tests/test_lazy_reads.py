@@ -110,7 +110,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
     if (command[0], file) == ("export", "metrics.jsonl"):
         return  # an export asks no records
     from toolkit.cli import inspection
-    from toolkit.expert import new_learner
+    from toolkit.expert.training import new_learner
 
     monkeypatch.chdir(tmp_path)
     run = _run_of(tmp_path)
@@ -138,7 +138,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
     {}, {"updates": 3}, {"updates": [], "rounds": 0, "cloned": True, "card": {}, "records": 0, "rng": {}, "rows": 0},
 ])  # fmt: skip
 def test_an_experts_checkpoint_of_another_version(tmp_path, state):
-    from toolkit.expert import ExpertConfig, _Training, learner_tensors, new_learner
+    from toolkit.expert.training import ExpertConfig, _Training, learner_tensors, new_learner
 
     run = Run.create(tmp_path / "r", {})
     policy, value = new_learner(0)

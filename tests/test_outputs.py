@@ -205,13 +205,13 @@ def test_room_is_asked_of_the_folder(tmp_path):
 def test_a_trained_expert_is_reported_whatever_becomes_of_its_place(tmp_path, monkeypatch, capsys):
     """After hours: the run folder has the policy and the report, the sentence says how to save it elsewhere."""
     from toolkit.evaluation import Evaluation
-    from toolkit.expert import new_learner
+    from toolkit.expert.training import new_learner
 
     monkeypatch.chdir(tmp_path)
     policy, value = new_learner(0)
     monkeypatch.setattr("toolkit.cli.training.make_lab", lambda *_: type("L", (), {"merged": None})())
     monkeypatch.setattr("toolkit.simulation.rollout.RolloutEngine", lambda merged: type("E", (), {"close": lambda self: None})())
-    monkeypatch.setattr("toolkit.expert.train_expert", lambda *_: (policy, value, {"demonstrations_kept": 3}))
+    monkeypatch.setattr("toolkit.expert.training.train_expert", lambda *_: (policy, value, {"demonstrations_kept": 3}))
     monkeypatch.setattr("toolkit.evaluation.evaluate_compiled", lambda p, robot, task, episodes: Evaluation("adroit", "native", 1, 1, 0, 0))
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stop:

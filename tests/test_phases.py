@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.expert import load_expert
+from toolkit.expert.shelf import load_expert
 from toolkit.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
-from toolkit.expert import load_expert
+from toolkit.expert.shelf import load_expert
 from toolkit.plan import Plan, matrix
 from toolkit.recording import excerpt, learning, rollouts, shows, viewer
 from toolkit.recording.scene import Casting, Scene

@@ -10,7 +10,7 @@ import pytest
 from robots import ROBOTS
 from tasks.pick import GOAL_OFFSET, OBJECT_XY, START_POSITION, START_ROTATION, TABLE_TOP
 from toolkit.errors import ToolkitError
-from toolkit.expert import load_expert
+from toolkit.expert.shelf import load_expert
 from toolkit.morphology.posture import GRIP_SITE, arm_joints, solve_arm, start_of
 from toolkit.simulation.rollout import play
 

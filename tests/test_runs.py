@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
+from toolkit.runs import provenance
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
 

@@ -8,7 +8,7 @@ import pytest
 from robots import ROBOTS
 from toolkit import sensitivity
 from toolkit.evolution import Terminal, evolution_tree
-from toolkit.expert import new_learner
+from toolkit.expert.training import new_learner
 from toolkit.sensitivity import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 from toolkit.transfer.pipeline import Lab
 

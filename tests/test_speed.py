@@ -11,7 +11,7 @@ import pytest
 from robots import ROBOTS
 from toolkit.demonstrations.scripts import PickScript
 from toolkit.evaluation import NativeRobot
-from toolkit.expert import load_expert
+from toolkit.expert.shelf import load_expert
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace

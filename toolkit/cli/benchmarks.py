@@ -163,7 +163,7 @@ def bench_transfer(
 
 def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
     """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
-    from toolkit.expert import load_expert
+    from toolkit.expert.shelf import load_expert
     from toolkit.transfer.pipeline import Pipeline
 
     for job in jobs.values():  # say what is missing before hours are spent
@@ -214,7 +214,7 @@ def bench_engine(
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
     room_for(page, (".md", ".markdown", ".txt"))
     systems = [find_robot(name) for name in (robots or ROBOTS)]
-    from toolkit.expert import load_expert
+    from toolkit.expert.shelf import load_expert
     from toolkit.speed import measure_engine, performance_page
 
     policy, _ = load_expert(source, task)
@@ -288,7 +288,7 @@ def bench_walk(
     room_for(plot)
     lab = make_lab(source, targets, task)
     from toolkit.evaluation import walk
-    from toolkit.expert import load_expert
+    from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
     policy, _ = load_expert(source, task, expert)
@@ -380,7 +380,7 @@ def bench_metric(
     if robots < 3 or episodes < 1 or seed < 0:
         raise ToolkitError(f"robots is {robots}, episodes {episodes}, seed {seed}; give at least 3, 1 and 0")
     lab = make_lab(source, targets, task)
-    from toolkit.expert import load_expert
+    from toolkit.expert.shelf import load_expert
     from toolkit.sensitivity import compare_metrics
     from toolkit.simulation.rollout import RolloutEngine
 

@@ -254,7 +254,7 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
 def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     """A run folder with everything needed to play it again."""
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, entry_names, load_expert
+    from toolkit.expert.shelf import POLICY_FILE, entry_names, load_expert
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.recording.shows import Known
     from toolkit.simulation.plant import native_plant

@@ -88,7 +88,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
         ToolkitError: there is none.
     """
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, entry_names
+    from toolkit.expert.shelf import POLICY_FILE, entry_names
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.runs.run import continuing
 
@@ -115,7 +115,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
 def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"], list[str]] | None:
     """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
+    from toolkit.expert.shelf import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.runs.run import Run
 

@@ -53,7 +53,8 @@ def expert(
     robot, what = find_robot(source), find_task(task)
     from toolkit.demonstrations.rehearsal import Studio, teachers_for
     from toolkit.evaluation import evaluate_compiled, evaluate_native
-    from toolkit.expert import POLICY_FILE, RECORDED, SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
+    from toolkit.expert.shelf import POLICY_FILE, RECORDED, SHIPPED, narrow_task, save_expert
+    from toolkit.expert.training import ExpertConfig, train_expert
     from toolkit.runs.run import Run
     from toolkit.simulation.rollout import RolloutEngine
 

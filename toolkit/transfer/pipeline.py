@@ -16,7 +16,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.evolution.bend import Bend
-from toolkit.expert import POLICY_FILE, load_expert
+from toolkit.expert.shelf import POLICY_FILE, load_expert
 from toolkit.io.jsonfiles import read_object
 from toolkit.io.quoting import markdown
 from toolkit.learning.episode import Episode
