@@ -20,10 +20,11 @@ from toolkit.datasheet import model_sha256
 from toolkit.evaluation import NativeRobot, evaluate_merged
 from toolkit.expert.shelf import load_expert
 from toolkit.learning.npg import NpgConfig
+from toolkit.morphology.lab import Lab
 from toolkit.packing import write_bundle
 from toolkit.runs.run import Run
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
-from toolkit.transfer.pipeline import Job, Lab, Pipeline
+from toolkit.transfer.pipeline import Job, Pipeline
 from toolkit.transfer.settings import TransferConfig
 
 TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}

@@ -18,9 +18,9 @@ from toolkit.capability.bench import Bench, Capability
 from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
 from toolkit.morphology import parity
+from toolkit.morphology.lab import Lab
 from toolkit.morphology.linkage import BOX_WIDTH, closed_on_box
 from toolkit.simulation.plant import merged_plant
-from toolkit.transfer.pipeline import Lab
 
 
 @pytest.fixture(scope="module")

@@ -401,7 +401,7 @@ def test_robots(capsys):
 def lab(monkeypatch, space, merged, task):
     """The tests' own merged robot, for commands that would merge the same robots again."""
     from robots import ROBOTS
-    from toolkit.transfer.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
     made = Lab.__new__(Lab)
     made.source, *targets = (ROBOTS[name] for name in space.matching.names)

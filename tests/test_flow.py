@@ -9,6 +9,7 @@ import pytest
 
 from robots import ROBOTS
 from tasks.pick import ACTION, OBSERVATION
+from toolkit.cli.training import record_run
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import entry_names, load_expert
 from toolkit.learning.npg import NpgConfig
@@ -41,7 +42,7 @@ def log_elsewhere(tmp_path_factory):
 def played(job, tmp_path_factory):
     """(run folder, report, what was watched) of the shipped expert's way."""
     folder, watched = tmp_path_factory.mktemp("flow") / "run", []
-    report = Pipeline(job, folder, watch=watched.append).play()
+    report = Pipeline(job, folder, watch=watched.append, record=record_run).play()
     return folder, report, watched
 
 
@@ -170,9 +171,9 @@ def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypat
         if record["event"] == "update" and record["train_iterations"] == 2:
             shutil.copytree(whole, killed)
 
-    report = Pipeline(trained, whole, watch=watch).play()
+    report = Pipeline(trained, whole, watch=watch, record=record_run).play()
     assert killed.is_dir(), "nothing was trained, so the test saw nothing"
-    again = Pipeline(trained, killed, resume=True).play()
+    again = Pipeline(trained, killed, resume=True, record=record_run).play()
     assert timeless(killed) == timeless(whole), "metrics.jsonl differs"
     assert numbers(again) == numbers(report)
     policy = f"{TARGET}.policy.safetensors"
@@ -188,7 +189,7 @@ def test_a_finished_run_resumed_reports_the_same(played, job):
     """Last, since it adds to the folder."""
     folder, report, _ = played
     before = timeless(folder)
-    again = Pipeline(job, folder, resume=True).play()
+    again = Pipeline(job, folder, resume=True, record=record_run).play()
     assert numbers(again) == numbers(report) and again["wall_s"] >= 0
     assert timeless(folder) == before, "a finished run wrote more metrics"
 

@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[1]
 def small(task):
     """ADROIT and Jaco, merged."""
     from robots import ROBOTS
-    from toolkit.transfer.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
     return Lab(ROBOTS["adroit"], [ROBOTS["jaco"]], task)
 

@@ -23,7 +23,7 @@ BROWSER = next((found for name in ("chromium", "google-chrome", "chrome") if (fo
 def small(task):
     """ADROIT and Jaco, merged."""
     from robots import ROBOTS
-    from toolkit.transfer.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
     return Lab(ROBOTS["adroit"], [ROBOTS["jaco"]], task)
 

@@ -17,7 +17,8 @@ from tasks.objects import OBJECTS
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
 from toolkit.demonstrations.rehearsal import Dropped, Studio, teachers_for
 from toolkit.demonstrations.retargeting import PREFIX, REACHABLE, HandModel, touching
-from toolkit.demonstrations.tracks import Track, TrackScript, _stretch, entry
+from toolkit.demonstrations.scripts import entry
+from toolkit.demonstrations.tracks import Track, TrackScript, _stretch
 from toolkit.errors import ToolkitError
 from toolkit.simulation.plant import CLOSING
 

@@ -9,8 +9,8 @@ from robots import ROBOTS
 from toolkit import sensitivity
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.expert.training import new_learner
+from toolkit.morphology.lab import Lab
 from toolkit.sensitivity import Judgement, capability_weights, compare_metrics, sensitivities, weighted
-from toolkit.transfer.pipeline import Lab
 
 
 def test_weighted_terminals_are_apart_by_the_weighted_distance():

@@ -163,6 +163,7 @@ def bench_transfer(
 
 def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
     """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
+    from toolkit.cli.training import record_run
     from toolkit.expert.shelf import load_expert
     from toolkit.transfer.pipeline import Pipeline
 
@@ -175,7 +176,7 @@ def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str
             continue
         with Progress(name, quiet) as progress:
             try:
-                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
+                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer), record_run).play()
             except ToolkitError as error:
                 failed[name] = str(error)
     return failed

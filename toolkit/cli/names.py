@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from robots.robot import Robot
     from tasks.pick import PickTask
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.transfer.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
 Kind = Literal["steiner", "geometric-median", "independent"]
 Method = Kind | Literal["asking", "direct"]
@@ -61,7 +61,7 @@ def find_task(name: str) -> "PickTask":
 def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":
     """Source, targets and task by their names, merged on first use."""
     systems = [find_robot(name) for name in (source, *targets)]
-    from toolkit.transfer.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
     return Lab(systems[0], systems[1:], find_task(task))
 

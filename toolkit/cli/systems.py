@@ -10,8 +10,8 @@ from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from robots.robot import Robot
+    from toolkit.morphology.lab import Lab
     from toolkit.morphology.matching import Matching
-    from toolkit.transfer.pipeline import Lab
 
 
 def robots(check: str | None = None, json: bool = False) -> None:

@@ -3,12 +3,15 @@
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, document, emit
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
+
+if TYPE_CHECKING:
+    from toolkit.recording.story import Story
 
 
 def expert(
@@ -111,6 +114,13 @@ def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Seque
     return words
 
 
+def record_run(*run: Any) -> "Story":
+    """The recording of a run while it goes on, as ``Pipeline`` begins it; an installation without the viewer has none, and says so."""
+    from toolkit.recording.story import begin_story
+
+    return begin_story(*run)
+
+
 def transfer(
     source: str = "adroit",
     targets: tuple[str, ...] = TARGETS,
@@ -176,7 +186,7 @@ def transfer(
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert)
     with Progress("transfer", quiet=json) as progress:
-        pipeline = Pipeline(job, folder, resume, progress.transfer(config))
+        pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run)
         pipeline.run.write_json("command", {"words": ["transfer", *said]})
         report = pipeline.play()
     if json:

@@ -48,8 +48,8 @@ def tree(
         start, goals = load_points(points)
     else:
         systems = [find_robot(name) for name in (source, *targets)]
+        from toolkit.morphology.lab import check_roles
         from toolkit.survey import as_points, compare_arms
-        from toolkit.transfer.pipeline import check_roles
 
         check_roles(systems[0], systems[1:])
         start, *goals = as_points(systems)

@@ -58,6 +58,14 @@ class Cost:
                 f"{self.wall:.0f} s), {self.drawn} of {self.known} episodes{left}")  # fmt: skip
 
 
+def begin_story(
+    folder: Path, merged: MergedRobot, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Plant],
+    records: Sequence[dict[str, Any]],
+) -> "Story":  # fmt: skip
+    """The recording of a run that goes on, into its folder; the arguments are those of ``Story``."""
+    return Story(Stream(folder / "recording.rrd"), folder, merged, tree, policy, native, SHARE, records)
+
+
 class Story:
     """Tells a run.
 

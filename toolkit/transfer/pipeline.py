@@ -2,10 +2,10 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from tasks.pick import EXPLORED_DEVIATION, RESPONDING_DEVIATION, PickTask
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
-from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
+from toolkit.evolution import EvolutionTree, Metric
 from toolkit.evolution.bend import Bend
 from toolkit.expert.shelf import POLICY_FILE, load_expert
 from toolkit.io.jsonfiles import read_object
@@ -24,9 +24,7 @@ from toolkit.learning.exploration import Explored
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.matching import match
-from toolkit.morphology.space import EvolutionSpace
-from toolkit.plan import Plan
+from toolkit.morphology.lab import Lab, check_roles
 from toolkit.runs.phases import Witness
 from toolkit.runs.run import Run, read_audit
 from toolkit.simulation.plant import Plant, native_plant
@@ -34,9 +32,6 @@ from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer.branch import Branch
 from toolkit.transfer.meta_evolve import Transfer
 from toolkit.transfer.settings import Method, TransferConfig
-
-if TYPE_CHECKING:  # a transfer needs no viewer: it is imported where a run is recorded
-    from toolkit.recording.story import Cost, Story
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
@@ -56,15 +51,6 @@ AUDITED = 5
 """Robots per edge that are measured before a transfer begins."""
 ENOUGH = 0.8
 """Success on a target from which on a policy has learned it (the paper's 80 %)."""
-
-
-def check_roles(source: Robot, targets: Sequence[Robot]) -> None:
-    """Refuse a source among the targets, a target named twice, and no targets."""
-    names = [robot.name for robot in targets]
-    if source.name in names:
-        raise ToolkitError(f"{source.name!r} is both source and target; leave it out of the targets")
-    if not names or len(set(names)) != len(names):
-        raise ToolkitError(f"targets are {', '.join(names) or 'none'}; name each once, and at least one")
 
 
 @dataclass(frozen=True)
@@ -116,31 +102,19 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 
-class Lab:
-    """The merged robot of a job's robots, in its task, with its evolution space.
+class Recorder(Protocol):
+    """Whoever is told of a run, to show it: record by record, the summary at its end, and what the telling has cost."""
 
-    Args:
-        source, targets, task: as in Job.
+    def tell(self, record: dict[str, Any]) -> None: ...
 
-    Raises:
-        ToolkitError: the source is among the targets, a robot is named twice, or the merged robot does not compile.
-    """
+    def summary(self, text: str) -> None: ...
 
-    def __init__(self, source: Robot, targets: Sequence[Robot], task: PickTask) -> None:
-        check_roles(source, targets)
-        self.source, self.targets, self.task = source, tuple(targets), task
-        self.space = EvolutionSpace(match([source, *targets]))
-        self.merged = MergedRobot(self.space, task)
+    def finish(self) -> Any: ...
 
-    def terminals(self) -> tuple[Terminal, list[Terminal]]:
-        """Source and targets as points of the evolution space."""
-        points = [Terminal(name, self.space.beta(name)) for name in self.space.matching.names]
-        return points[0], points[1:]
 
-    def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:
-        """The evolution tree from the source to the targets."""
-        source, targets = self.terminals()
-        return evolution_tree(source, targets, metric, kind)
+Begin = Callable[[Path, MergedRobot, dict[str, Any], GaussianPolicy, Callable[[str], Plant], list[dict[str, Any]]], Recorder]
+"""Begins to record a run: its folder, the merged robot, the tree as of tree.json, the expert, an unmodified target by its name, and the
+records that there are of a run that is taken up again."""
 
 
 class _Told:
@@ -154,7 +128,7 @@ class _Told:
         trouble: the first thing that went wrong, in a sentence; empty if nothing did.
     """
 
-    def __init__(self, folder: Path, begin: "Callable[[], Story]") -> None:
+    def __init__(self, folder: Path, begin: Callable[[], Recorder | None]) -> None:
         self.folder, self.trouble = folder, ""
         self._story = self._told(begin)
 
@@ -176,8 +150,8 @@ class _Told:
         """Trouble that somebody else had with what only helps to see the run."""
         self.trouble = self.trouble or trouble
 
-    def finish(self) -> "Cost | str":
-        """Close the recording; what it cost, or what went wrong with it."""
+    def finish(self) -> Any:
+        """Close the recording; what it cost, or what went wrong with it in a sentence."""
         story, self._story = self._story, None
         cost = None if story is None else self._told(story.finish)
         return cost if not self.trouble else f"the run is not fully recorded: {self.trouble}"
@@ -200,14 +174,16 @@ class Pipeline:
         folder: the run folder.
         resume: continue the run that is there.
         watch: called with every event of the transfer, for progress on a terminal.
+        record: begins the run's recording; None: there is none.
     """
 
     def __init__(
-        self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None
-    ) -> None:
+        self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None,
+        record: Begin | None = None,
+    ) -> None:  # fmt: skip
         policy, value = load_expert(job.source.name, job.task.name, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
-        self.job, self.watch = job, watch
+        self.job, self.watch, self._begin = job, watch, record
         try:
             self._prepare(folder, resume, policy, value)
         except Exception:
@@ -242,14 +218,8 @@ class Pipeline:
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.witness = Witness(folder, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
-        self.story = _Told(folder, lambda: self._record(folder, policy.copy(), records))
-
-    def _record(self, folder: Path, policy: GaussianPolicy, records: list[dict[str, Any]]) -> "Story":
-        """Begin the recording; an installation without the viewer has none."""
-        from toolkit.recording.story import SHARE, Story
-        from toolkit.recording.stream import Stream
-
-        return Story(Stream(folder / "recording.rrd"), folder, self.lab.merged, self.tree.to_json(), policy, self._plant, SHARE, records)
+        begin = lambda: self._begin(folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, records)  # noqa: E731
+        self.story = _Told(folder, begin if self._begin else lambda: None)
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
@@ -285,7 +255,7 @@ class Pipeline:
 
     def _bends(self) -> dict[frozenset[str], Bend]:
         """Targets behind each edge that is not straight -> how it turns, as the audit found it best."""
-        below, edges = Plan(self.tree.to_json()).below, read_audit(self.run.path)["edges"]
+        below, edges = self.tree.below(), read_audit(self.run.path)["edges"]
         alphas = {node.name: node.alpha for node in self.tree.nodes}
         return {below[edge["to"]]: Bend(alphas[edge["from"]], self.lab.space.side(edge["first"]), edge.get("lead", 1.0))
                 for edge in edges if edge.get("first") in SIDES}  # fmt: skip
