@@ -51,7 +51,7 @@ def merged(space, task):
 def native(task):
     """name -> the unmodified robosuite robot in its own environment; whoever uses it begins an episode of its own."""
     from robots import ROBOTS
-    from toolkit.evaluation import NativeRobot
+    from toolkit.simulation.native import NativeRobot
 
     loaded = {}
 

@@ -16,13 +16,14 @@ import numpy as np
 from robots import ROBOTS
 from tasks import TASKS
 from toolkit.bundle.manifest import Lineage, Success
-from toolkit.datasheet import model_sha256
-from toolkit.evaluation import NativeRobot, evaluate_merged
+from toolkit.evaluation.success import evaluate_merged
 from toolkit.expert.shelf import load_expert
+from toolkit.export.packing import write_bundle
 from toolkit.learning.npg import NpgConfig
 from toolkit.morphology.lab import Lab
-from toolkit.packing import write_bundle
+from toolkit.morphology.native_scene import model_sha256
 from toolkit.runs.run import Run
+from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer.pipeline import Job, Pipeline
 from toolkit.transfer.settings import TransferConfig

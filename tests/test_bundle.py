@@ -19,14 +19,14 @@ from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE, is_lo
 from toolkit.bundle.manifest import FORMAT_VERSION, Lineage, Success, read_manifest
 from toolkit.bundle.onnx_graph import load_onnx
 from toolkit.bundle.reading import FILES, MANIFEST, check_bundle, load_bundle
-from toolkit.datasheet import model_sha256
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.runtime import replay_golden
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import entry_names
+from toolkit.export.packing import LOST_BELOW, check_records, write_bundle
 from toolkit.learning.policy import GaussianPolicy
+from toolkit.morphology.native_scene import model_sha256
 from toolkit.morphology.posture import arm_joints
-from toolkit.packing import LOST_BELOW, check_records, write_bundle
 
 TARGET = "kinova3"
 TARGETS = ("jaco", "kinova3", "iiwa", "panda")  # three hinged grippers and one that slides

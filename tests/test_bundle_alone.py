@@ -24,7 +24,7 @@ from toolkit.bundle.manifest import Lineage, Success
 from toolkit.bundle.reading import FILES, check_bundle, load_bundle, shipped_bundles
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import entry_names
-from toolkit.packing import write_bundle
+from toolkit.export.packing import write_bundle
 
 TARGETS = ("jaco", "iiwa", "panda")  # an opening preshape, a base that turns with joint 1, fingers that slide
 LABEL = Success(40, 30, 0.75, (0.59, 0.86), 10**9, "nowhere: a test")
@@ -221,7 +221,7 @@ def test_starts_can_be_drawn_from_the_manifest_alone(exported, native, name):
 
 
 def test_a_start_that_turns_is_told_with_its_yaw():
-    from toolkit.loop import _starts
+    from toolkit.export.loop import _starts
 
     task = TASKS["061_foam_brick-wide"]
     says = _starts(task, LABEL)

@@ -245,10 +245,10 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
     import zipfile
 
     from robots import ROBOTS
-    from toolkit import packing
     from toolkit.bundle.manifest import Lineage, Success
     from toolkit.bundle.reading import SHIPPED, load_bundle
     from toolkit.expert.shelf import load_expert
+    from toolkit.export import packing
 
     with zipfile.ZipFile(SHIPPED / "kinova3.zip") as archive:
         archive.extractall(tmp_path)

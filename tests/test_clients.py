@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import toolkit.twin
+import toolkit.export.twin
 from robots import ROBOTS
 from toolkit import cli
 from toolkit.cli import main
@@ -21,7 +21,7 @@ from toolkit.deploy import wire
 from toolkit.deploy.arm import Command
 from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.errors import ToolkitError
-from toolkit.twin import Twin, serve
+from toolkit.export.twin import Twin, serve
 
 ROOT = Path(cli.__file__).parents[2]
 
@@ -176,7 +176,7 @@ def test_a_half_open_client_gives_way(port, monkeypatch):
     mute = [stray(port) for _ in range(3)]
     first = patient(port)
     first.begin(5)
-    monkeypatch.setattr(toolkit.twin, "PATIENCE", 0.3)
+    monkeypatch.setattr(toolkit.export.twin, "PATIENCE", 0.3)
     time.sleep(0.4)
     second = patient(port)
     second.begin(5)

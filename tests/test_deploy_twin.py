@@ -19,8 +19,8 @@ from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.runtime import Runtime, TickLog, play, rehearse, wilson_interval
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import Evaluation
-from toolkit.twin import WATCHDOG, Twin
+from toolkit.evaluation.success import Evaluation
+from toolkit.export.twin import WATCHDOG, Twin
 
 ROOT = Path(__file__).parent.parent
 BLOCKED = ("torch", "robosuite", "rerun", "pinocchio", "numba", "onnx", "safetensors", "gymnasium_robotics", "matplotlib")
@@ -205,7 +205,7 @@ class Clock:
 
 def test_a_twin_by_the_clock_follows_it_and_holds_when_commands_cease(twin, monkeypatch):
     clock = Clock()
-    monkeypatch.setattr("toolkit.twin.time.monotonic", clock)
+    monkeypatch.setattr("toolkit.export.twin.time.monotonic", clock)
     monkeypatch.setattr(twin, "pace", "real")
     twin.begin(5)
     assert twin.catch_up() > 0, "its clock starts with the first command"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE
 from toolkit.demonstrations.scripts import PickScript
-from toolkit.evaluation import Evaluation
+from toolkit.evaluation.success import Evaluation
 
 
 def wilson(successes, episodes):

@@ -204,7 +204,7 @@ class Killed:
 
 
 def test_a_killed_worker_is_no_result():
-    from toolkit.evaluation import _outcomes
+    from toolkit.evaluation.success import _outcomes
 
     with pytest.raises(ToolkitError, match="was killed"):
         list(_outcomes([(Killed(),)] * 8, 2))

@@ -15,7 +15,7 @@ from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
 from toolkit.demonstrations.scripts import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import EVALUATION_SEEDS, evaluate_merged
+from toolkit.evaluation.success import EVALUATION_SEEDS, evaluate_merged
 from toolkit.expert.shelf import RECORDED, SHIPPED, entry_names, expert_files, load_expert, save_expert, shipped_experts, shipped_pair
 from toolkit.expert.training import (
     DEMONSTRATION_SEEDS,

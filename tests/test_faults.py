@@ -14,7 +14,7 @@ from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.faults import HARMS, onsets, trial, trials
 from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
 from toolkit.deploy.runtime import EVALUATION_SEEDS
-from toolkit.twin import Twin
+from toolkit.export.twin import Twin
 
 CLOCKLESS = tuple(harm for harm in HARMS if not harm.real)
 

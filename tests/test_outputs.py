@@ -204,7 +204,7 @@ def test_room_is_asked_of_the_folder(tmp_path):
 
 def test_a_trained_expert_is_reported_whatever_becomes_of_its_place(tmp_path, monkeypatch, capsys):
     """After hours: the run folder has the policy and the report, the sentence says how to save it elsewhere."""
-    from toolkit.evaluation import Evaluation
+    from toolkit.evaluation.success import Evaluation
     from toolkit.expert.training import new_learner
 
     monkeypatch.chdir(tmp_path)
@@ -212,7 +212,8 @@ def test_a_trained_expert_is_reported_whatever_becomes_of_its_place(tmp_path, mo
     monkeypatch.setattr("toolkit.cli.training.make_lab", lambda *_: type("L", (), {"merged": None})())
     monkeypatch.setattr("toolkit.simulation.rollout.RolloutEngine", lambda merged: type("E", (), {"close": lambda self: None})())
     monkeypatch.setattr("toolkit.expert.training.train_expert", lambda *_: (policy, value, {"demonstrations_kept": 3}))
-    monkeypatch.setattr("toolkit.evaluation.evaluate_compiled", lambda p, robot, task, episodes: Evaluation("adroit", "native", 1, 1, 0, 0))
+    measured = Evaluation("adroit", "native", 1, 1, 0, 0)
+    monkeypatch.setattr("toolkit.evaluation.success.evaluate_compiled", lambda p, robot, task, episodes: measured)
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stop:
         main(["expert", "--run", "r", "--out", "file/below", "--episodes", "1", "--compiled", "--json"])

@@ -10,12 +10,12 @@ import pytest
 
 from robots import ROBOTS
 from toolkit.demonstrations.scripts import PickScript
-from toolkit.evaluation import NativeRobot
 from toolkit.expert.shelf import load_expert
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.simulation.divergence import STATE
+from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.plant import merged_plant, native_plant
 from toolkit.simulation.rollout import RolloutEngine
 from toolkit.speed import (

@@ -8,7 +8,7 @@ import pytest
 from robots import ROBOTS
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.stress import CONDITIONS, Ledger, StressedRobot, Tried, pair_trials, ranges_of, single_trials
+from toolkit.evaluation.stress import CONDITIONS, Ledger, StressedRobot, Tried, pair_trials, ranges_of, single_trials
 
 UP = np.array([0, 0, 0.3, 0, 0, 0, -1.0])
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import EVALUATION_SEEDS
+from toolkit.evaluation.success import EVALUATION_SEEDS
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.evolution.bend import Bend
 from toolkit.learning.episode import Episode

@@ -17,7 +17,7 @@ from toolkit.deploy.drivers.kortex import Kortex
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.observer import Observer
 from toolkit.deploy.runtime import Runtime, replay_golden
-from toolkit.twin import Twin
+from toolkit.export.twin import Twin
 
 TURN = 2 * np.pi
 TICKS = 30

@@ -16,7 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import Evaluation, Waypoint
+from toolkit.evaluation.success import Evaluation
+from toolkit.evaluation.walk import Waypoint
 from toolkit.io.jsonfiles import require
 from toolkit.io.quoting import letters, markdown
 from toolkit.runs.run import Run, read_report, read_tree, transfer_records

@@ -25,12 +25,12 @@ from numba import cfunc, types
 
 from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
-from toolkit.evaluation import NativeRobot
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.posture import arm_joints
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.simulation import osc
+from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.osc import STATE
 from toolkit.simulation.plant import Plant, merged_plant, native_plant
 from toolkit.simulation.rollout import Actor, RolloutEngine, Tape, play, play_on

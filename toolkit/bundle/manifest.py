@@ -273,7 +273,7 @@ class RobotCard:
 
     Attributes:
         name, arm, gripper: the toolkit's and robosuite's names.
-        model_sha256: of the simulated robot's kinematics, masses and limits (see toolkit/datasheet.py).
+        model_sha256: of the simulated robot's kinematics, masses and limits (see toolkit/morphology/native_scene.py).
         base_body, base_position_m, base_quaternion: the arm's base frame in the task frame, w first.
         flange_body, tool_position_m, tool_quaternion: the grasp frame in the flange's frame.
     """

@@ -11,7 +11,7 @@
     robot.xml            the robot as MJCF: frames, joints, limits, enclosing boxes and capsules
     README.md            for people
 
-This file reads and proves; toolkit/packing.py writes. Loading runs no code from the files, unpacks nothing to disk, and
+This file reads and proves; toolkit/export/packing.py writes. Loading runs no code from the files, unpacks nothing to disk, and
 imports neither torch nor robosuite.
 """
 

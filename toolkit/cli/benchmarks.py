@@ -288,7 +288,7 @@ def bench_walk(
         raise ToolkitError(f"steps is {steps} and episodes {episodes}; give at least one of each")
     room_for(plot)
     lab = make_lab(source, targets, task)
-    from toolkit.evaluation import walk
+    from toolkit.evaluation.walk import walk
     from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 

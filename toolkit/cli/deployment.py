@@ -41,7 +41,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, j
         json: print the manifest.
     """
     content, policies, _ = trained_policies(run, target)
-    from toolkit.packing import write_bundle
+    from toolkit.export.packing import write_bundle
 
     robot, task = find_robot(target), find_task(content["task"])
     with Progress("export", quiet=json) as progress:
@@ -234,7 +234,7 @@ def twin(
         raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
     manifest = load_bundle(bundle).manifest
     robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
-    from toolkit.twin import Twin, serve
+    from toolkit.export.twin import Twin, serve
 
     try:
         listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
@@ -287,7 +287,7 @@ def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress:
     found = report.get("targets", {}).get(target, {}).get("native")
     measured = "by the run that trained it, through robosuite's own step"
     if found is None:
-        from toolkit.evaluation import evaluate_native
+        from toolkit.evaluation.success import evaluate_native
 
         counter = progress.count(f"{target}, unmodified", LABEL_EPISODES)
         found = evaluate_native(policy, robot, task, LABEL_EPISODES, progress=counter).to_json()

@@ -10,7 +10,7 @@ from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from toolkit.evaluation import Evaluation
+    from toolkit.evaluation.success import Evaluation
 
 
 WHERE = {"native": "unmodified robot", "native-compiled": "unmodified robot, compiled step", "merged": "F(beta)"}
@@ -41,7 +41,7 @@ def evaluate(
     """
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.evaluation import evaluate_merged, evaluate_native
+    from toolkit.evaluation.success import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
     if is_bundle(run):
@@ -130,8 +130,8 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
     path = find_bundle(name)
     manifest = load_bundle(path).manifest
     robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
-    from toolkit.evaluation import evaluate_native
-    from toolkit.packing import check_records
+    from toolkit.evaluation.success import evaluate_native
+    from toolkit.export.packing import check_records
 
     check_records(manifest, path)
     with Progress("evaluate", quiet) as progress:

@@ -146,7 +146,7 @@ def _show_match(matching: "Matching", found: dict) -> None:
 
 def _survival(lab: "Lab", episodes: int) -> list[dict]:
     """The source's expert on F(beta) of the source and on the source robot itself under the compiled step, same seeds."""
-    from toolkit.evaluation import evaluate_compiled, evaluate_merged
+    from toolkit.evaluation.success import evaluate_compiled, evaluate_merged
     from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 

@@ -55,7 +55,7 @@ def expert(
                            "least one episode and one demonstration, updates and seed from 0 on")  # fmt: skip
     robot, what = find_robot(source), find_task(task)
     from toolkit.demonstrations.rehearsal import Studio, teachers_for
-    from toolkit.evaluation import evaluate_compiled, evaluate_native
+    from toolkit.evaluation.success import evaluate_compiled, evaluate_native
     from toolkit.expert.shelf import POLICY_FILE, RECORDED, SHIPPED, narrow_task, save_expert
     from toolkit.expert.training import ExpertConfig, train_expert
     from toolkit.runs.run import Run

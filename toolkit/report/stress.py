@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.stress import CONDITIONS, GOOD, Tried, ranges_of
+from toolkit.evaluation.stress import CONDITIONS, GOOD, Tried, ranges_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from robots.robot import Robot
 from tasks.pick import EXPLORED_DEVIATION, RESPONDING_DEVIATION, PickTask
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
+from toolkit.evaluation.success import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Metric
 from toolkit.evolution.bend import Bend
 from toolkit.expert.shelf import POLICY_FILE, load_expert

@@ -18,14 +18,14 @@ import numpy as np
 
 from robots.robot import Robot
 from tasks.pick import PickTask
-from toolkit import datasheet
 from toolkit.deploy import wire
 from toolkit.deploy.arm import FORMS, Command
 from toolkit.deploy.kinematics import matrix_of, vector_of
 from toolkit.deploy.runtime import Pace
 from toolkit.errors import ToolkitError
-from toolkit.evaluation import NativeRobot
+from toolkit.morphology.native_scene import model_sha256, plain_name
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
+from toolkit.simulation.native import NativeRobot
 
 SERVO_KP = 1600.0
 """Stiffness [1/s^2] of the position servo, critically damped: 40 rad/s, a quarter of what industrial arms reach."""
@@ -48,9 +48,9 @@ class Twin:
         self.model, self.data, self.env = self.native.model, self.native.data, self.native.env
         model = self.model
         arm = arm_joints(model)
-        self._names = tuple(datasheet.plain_name(model.joint(j).name) for j in arm)
+        self._names = tuple(plain_name(model.joint(j).name) for j in arm)
         fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
-        self._finger_names = tuple(datasheet.plain_name(model.joint(j).name) for j in fingers)
+        self._finger_names = tuple(plain_name(model.joint(j).name) for j in fingers)
         self._qpos, self._dofs, self._finger_qpos = model.jnt_qposadr[arm], model.jnt_dofadr[arm], model.jnt_qposadr[fingers]
         self._endless = model.jnt_limited[arm] == 0
         by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
@@ -67,7 +67,7 @@ class Twin:
         """The twin's ArmInfo, and its pace."""
         return {
             "robot": self.robot.name, "joints": self._names, "fingers": self._finger_names, "forms": FORMS,
-            "rate_hz": 1.0 / self.model.opt.timestep, "model_sha256": datasheet.model_sha256(self.model),
+            "rate_hz": 1.0 / self.model.opt.timestep, "model_sha256": model_sha256(self.model),
             "pace": self.pace,
         }  # fmt: skip
 

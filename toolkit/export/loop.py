@@ -32,8 +32,9 @@ from toolkit.bundle.manifest import (
     Stopping,
     Success,
 )  # fmt: skip
-from toolkit.datasheet import plain_name, vector
+from toolkit.export.datasheet import vector
 from toolkit.morphology.matching import BASE_SITE
+from toolkit.morphology.native_scene import plain_name
 from toolkit.morphology.posture import GRIPPER_PREFIX, native_env
 from toolkit.simulation.plant import Plant
 
@@ -62,7 +63,7 @@ PROGRESS = "2 * (command - preshape) / (1 - preshape) - 1"
 
 def licence() -> str:
     """SPDX expression under which the package, and with it a bundle, is given: as a checkout or else its installation says."""
-    project = Path(__file__).parent.parent / "pyproject.toml"
+    project = Path(__file__).parents[2] / "pyproject.toml"
     if project.is_file():
         return str(tomllib.loads(project.read_text(encoding="utf-8"))["project"]["license"])
     about = metadata.metadata("meta-evolve")

@@ -25,7 +25,6 @@ from tasks.pick import (
     TABLE_TOP,
     PickTask,
 )  # fmt: skip
-from toolkit import datasheet
 from toolkit.bundle.manifest import (
     FORMAT,
     FORMAT_VERSION,
@@ -48,14 +47,17 @@ from toolkit.bundle.manifest import (
 from toolkit.bundle.onnx_graph import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
 from toolkit.bundle.reading import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
 from toolkit.bundle.schema import manifest_schema
-from toolkit.datasheet import Played, vector
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
+from toolkit.export import datasheet
+from toolkit.export.datasheet import Played, vector
+from toolkit.export.loop import licence, read_simulation
+from toolkit.export.robot_xml import robot_mjcf
 from toolkit.io.atomic import write_atomically
 from toolkit.io.claims import claim, give_up
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.loop import licence, read_simulation
 from toolkit.morphology.matching import BASE_SITE
+from toolkit.morphology.native_scene import model_sha256, plain_name
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
 from toolkit.runs.provenance import git_state, recorded_versions
 from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
@@ -282,9 +284,9 @@ def _describe(
     """The manifest without the files' hashes, and the files that are neither policy nor manifest."""
     plant = native_plant(robot, task)
     plant.begin(RECORDED_SEED)
-    mjcf, start = datasheet.robot_mjcf(plant, robot.name), _start(plant)
-    flange = datasheet.plain_name(plant.model.body(_flange(plant)).name)
-    arm = [datasheet.plain_name(plant.model.joint(j).name) for j in arm_joints(plant.model)]
+    mjcf, start = robot_mjcf(plant, robot.name), _start(plant)
+    flange = plain_name(plant.model.body(_flange(plant)).name)
+    arm = [plain_name(plant.model.joint(j).name) for j in arm_joints(plant.model)]
     kinematics = Kinematics(mjcf, arm, list(start.fingers), flange, START_ROTATION)
     # What depends on the posture is read here, at the start.
     card, base, fingers = _robot_card(robot, plant, flange), _base(plant), _fingers(robot, plant)
@@ -340,8 +342,8 @@ def _robot_card(robot: Robot, plant: Plant, flange: str) -> RobotCard:
     tool = np.empty(4)
     mujoco.mju_mat2Quat(tool, np.ascontiguousarray(rotation @ data.site_xmat[site].reshape(3, 3)).ravel())
     return RobotCard(
-        name=robot.name, arm=robot.arm, gripper=robot.gripper.robosuite_type, model_sha256=datasheet.model_sha256(model),
-        base_body=datasheet.plain_name(model.body(base).name), base_position_m=vector(data.xpos[base]),
+        name=robot.name, arm=robot.arm, gripper=robot.gripper.robosuite_type, model_sha256=model_sha256(model),
+        base_body=plain_name(model.body(base).name), base_position_m=vector(data.xpos[base]),
         base_quaternion=vector(data.xquat[base]), flange_body=flange,
         tool_position_m=vector(rotation @ (data.site_xpos[site] - data.xpos[hand])), tool_quaternion=vector(tool),
     )  # fmt: skip
@@ -410,7 +412,7 @@ def _start(plant: Plant) -> Start:
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(START_ROTATION).ravel())
     return Start(
         arm_rad=vector(qpos[model.jnt_qposadr[arm_joints(model)]]),
-        fingers={datasheet.plain_name(model.joint(j).name): float(qpos[model.jnt_qposadr[j]]) for j in fingers},
+        fingers={plain_name(model.joint(j).name): float(qpos[model.jnt_qposadr[j]]) for j in fingers},
         grasp_position_m=vector(START_POSITION), grasp_quaternion=vector(quaternion), tolerance_rad=0.05, tolerance_m=0.02,
         tolerance_rotation_rad=0.1,
     )  # fmt: skip
@@ -430,7 +432,7 @@ def _joints(robot: Robot, plant: Plant, calm: Played) -> tuple[Joint, ...]:
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (None, None)
         out.append(
             Joint(
-                name=datasheet.plain_name(model.joint(joint).name), low=None if low is None else float(low),
+                name=plain_name(model.joint(joint).name), low=None if low is None else float(low),
                 high=None if high is None else float(high), speed=float(limit[i]),
                 acceleration=float(max(ACCELERATION_MARGIN * push[i], ACCELERATION_FLOOR)),
                 effort=float(np.abs(model.actuator_ctrlrange[by_joint[joint]]).max()), seen_speed=float(speed[i]),
