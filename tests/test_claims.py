@@ -150,7 +150,7 @@ def test_resuming_twice_is_refused_at_once(tmp_path, capsys, command):
 
 def test_the_recording_of_a_running_transfer_is_not_made_anew(tmp_path, monkeypatch, capsys):
     from toolkit.cli import inspection
-    from toolkit.recording import shows
+    from toolkit.inspection.recording import shows
 
     (tmp_path / "r").mkdir()
     monkeypatch.setattr(inspection, "known_run", lambda path: None)

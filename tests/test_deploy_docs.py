@@ -17,8 +17,8 @@ from toolkit.deploy.arm import State
 from toolkit.deploy.runtime import TickLog, rehearse
 from toolkit.deploy.safety import PASSING, Fault
 from toolkit.errors import ToolkitError
-from toolkit.recording import viewer
-from toolkit.recording.deployment import record_deployment
+from toolkit.inspection.recording import viewer
+from toolkit.inspection.recording.deployment import record_deployment
 
 PAGE = Path(__file__).parent.parent / "docs" / "deploy.md"
 COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE.read_text(), re.DOTALL) for line in block.splitlines() if line]

@@ -212,7 +212,7 @@ def test_a_killed_worker_is_no_result():
 
 def test_a_viewer_that_ends_by_itself_is_a_failure(monkeypatch, capsys):
     from toolkit.cli import inspection
-    from toolkit.recording import viewer
+    from toolkit.inspection.recording import viewer
 
     with pytest.raises(ToolkitError, match="ended by itself with status 3"):
         inspection._wait(subprocess.Popen(["/bin/sh", "-c", "exit 3"]), "look")

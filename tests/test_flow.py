@@ -12,9 +12,9 @@ from tasks.pick import ACTION, OBSERVATION
 from toolkit.cli.training import record_run
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import entry_names, load_expert
+from toolkit.inspection.recording.viewer import reader_of
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.recording.viewer import reader_of
 from toolkit.runs.phases import ROLES, load_phases
 from toolkit.runs.run import Run
 from toolkit.transfer.pipeline import Job, Pipeline

@@ -12,7 +12,7 @@ TOOLKIT = sorted((ROOT / "toolkit").rglob("*.py"))
 LEAVES = sorted(path for folder in ("robots", "grippers", "tasks") for path in (ROOT / folder).rglob("*.py"))
 CLI = ROOT / "toolkit" / "cli"
 RUNS_CODE = {"eval", "exec", "compile", "__import__", "yaml.load", "torch.load", "yaml.unsafe_load", "os.system"}
-MAY_IMPORT_RERUN = ("toolkit/recording/", "toolkit/doctor.py")
+MAY_IMPORT_RERUN = ("toolkit/inspection/recording/", "toolkit/doctor.py")
 
 
 def label(path):

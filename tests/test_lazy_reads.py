@@ -13,8 +13,8 @@ import rerun as rr
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
 from toolkit.fuzz import _run_of
-from toolkit.recording import excerpt, viewer
-from toolkit.recording.stream import Stream
+from toolkit.inspection.recording import excerpt, viewer
+from toolkit.inspection.recording.stream import Stream
 from toolkit.results import finished_runs
 from toolkit.runs.run import Run
 

@@ -18,9 +18,9 @@ from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal, evolution_tree, plot_tree
 from toolkit.fuzz import _report_of, _run_of
+from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.report import figures, page
 from toolkit.io.quoting import markdown, plain, told
-from toolkit.plan import Plan
-from toolkit.report import figures, page
 from toolkit.results import read_result, write_results
 from toolkit.transfer.pipeline import summary
 

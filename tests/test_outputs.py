@@ -15,8 +15,8 @@ import toolkit.transfer.pipeline as pipeline
 from toolkit.cli import main
 from toolkit.cli.terminal import Progress, room_for
 from toolkit.errors import ToolkitError
-from toolkit.recording.stream import Stream, finish
-from toolkit.recording.viewer import chunks_of
+from toolkit.inspection.recording.stream import Stream, finish
+from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.runs.run import Run
 from toolkit.transfer.pipeline import _Told
 
@@ -119,7 +119,7 @@ def test_a_recording_on_a_disk_that_fills_is_a_sentence(small, size):
     """It stops before the disk is full and leaves what is left to the run: rerun itself would wait for ever for its dead writer."""
     import rerun as rr
 
-    from toolkit.recording.stream import RESERVE
+    from toolkit.inspection.recording.stream import RESERVE
 
     subprocess.run(["mount", "-o", f"remount,size={size}", str(small)], check=True)
     rng, path = np.random.default_rng(0), small / "recording.rrd"

@@ -5,7 +5,7 @@ import pytest
 
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
-from toolkit.film import contacts_of, shoot
+from toolkit.inspection.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
 from toolkit.runs.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score

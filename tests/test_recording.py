@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
-from toolkit.plan import Plan, matrix
-from toolkit.recording import excerpt, learning, rollouts, shows, viewer
-from toolkit.recording.scene import Casting, Scene
-from toolkit.recording.story import SHARE, Story
-from toolkit.recording.stream import Stream
+from toolkit.inspection.drawn_tree import Plan, matrix
+from toolkit.inspection.recording import excerpt, learning, rollouts, shows, viewer
+from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.story import SHARE, Story
+from toolkit.inspection.recording.stream import Stream
 from toolkit.runs.phases import Phase, Take, Witness, landmarks, load_phases
 from toolkit.runs.run import Run
 from toolkit.simulation.plant import merged_plant, native_plant
@@ -123,7 +123,7 @@ def test_no_mesh_twice(rows, small):
 
 def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, known):
     """The last film is on the unmodified Jaco: instances of its meshes against mj_kinematics, to 1e-5."""
-    from toolkit.film import shoot
+    from toolkit.inspection.film import shoot
 
     film = shoot(known.native("jaco"), lambda observation, rng: policy.mean(observation), 11, small.space.betas[1])
     model, data = film.model, mujoco.MjData(film.model)
@@ -143,7 +143,7 @@ def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, kn
 
 
 def test_the_merged_robots_bones_stand_where_mujoco_says(tmp_path, small):
-    from toolkit.morphology.appearance import Wardrobe
+    from toolkit.inspection.appearance import Wardrobe
 
     wardrobe = Wardrobe(small.space.matching)
     alphas = small.space.betas[0] + np.linspace(0, 1, 4)[:, None] * (small.space.betas[1] - small.space.betas[0])
@@ -252,7 +252,7 @@ def test_a_run_becomes_a_film(tmp_path, known, suffix):
     import cv2
     from PIL import Image, ImageSequence
 
-    from toolkit.report import video
+    from toolkit.inspection.report import video
 
     video_size, video.SIZE = video.SIZE, (160, 120)
     try:
@@ -278,7 +278,7 @@ def test_a_run_becomes_a_film(tmp_path, known, suffix):
 
 
 def test_a_run_without_episodes_makes_no_film(tmp_path, known):
-    from toolkit.report import video
+    from toolkit.inspection.report import video
 
     with pytest.raises(ToolkitError, match="keeps no phases to show"):
         video.write_video(tmp_path, known.merged, known.tree(), known.policy, known.native, tmp_path / "film.mp4")
@@ -463,7 +463,7 @@ def test_a_matrix_has_a_place_for_every_dimension(small):
 def test_a_killed_runs_recording_is_readable(tmp_path):
     file = tmp_path / "recording.rrd"
     program = (
-        "import os, sys; from pathlib import Path; import rerun as rr; from toolkit.recording.stream import Stream\n"
+        "import os, sys; from pathlib import Path; import rerun as rr; from toolkit.inspection.recording.stream import Stream\n"
         "stream = Stream(Path(sys.argv[1]))\n"
         "for step in range(9): stream.row('a', float(step), step, rr.Scalars(0.5)); stream.flush()\n"
         "os.kill(os.getpid(), 9)\n"

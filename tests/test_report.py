@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.furniture import furniture, opacity
-from toolkit.morphology.appearance import ROUND, Wardrobe, geom_triangles, simplified
-from toolkit.report import page, stills
+from toolkit.inspection.appearance import ROUND, Wardrobe, geom_triangles, simplified
+from toolkit.inspection.furniture import furniture, opacity
+from toolkit.inspection.report import page, stills
 from toolkit.runs.run import Run
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
@@ -182,7 +182,7 @@ def test_the_goal_and_the_object_are_drawn_where_they_are(small):
 
 
 def test_walked_edges_carry_the_last_success(finished, small):
-    from toolkit.plan import Plan
+    from toolkit.inspection.drawn_tree import Plan
 
     plan = Plan(small.tree("l1", "steiner").to_json())
     assert page.walked_edges(plan, Run.open(finished).read_metrics(), {}) == [("adroit", "jaco", 1.0, 0.75)]

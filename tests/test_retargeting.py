@@ -255,7 +255,7 @@ def test_a_broken_recording_stops_with_its_sentence(root, tmp_path):
 
 
 def test_the_clip_is_drawn(studio, demonstration, tmp_path):
-    from toolkit.recording.hands import Clip, record_clips
+    from toolkit.inspection.recording.hands import Clip, record_clips
 
     d, trace = demonstration, studio.trace(demonstration)
     clip = Clip(d.recording.name, d.scene.task.object, 0.04, d.scene.joints(d.recording), d.scene.object_poses(d.recording), d.hand,

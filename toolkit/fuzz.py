@@ -34,11 +34,11 @@ from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.runtime import TickLog, rehearse
 from toolkit.errors import ToolkitError
 from toolkit.evolution import load_points
+from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.recording.deployment import read_log, record_deployment
+from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.plan import Plan
 from toolkit.quiet import work_quietly
-from toolkit.recording.deployment import read_log, record_deployment
-from toolkit.recording.viewer import chunks_of
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.phases import FOLDER, Phase, Take, load_phase
 from toolkit.runs.run import Run, read_report, read_tree, transfer_records

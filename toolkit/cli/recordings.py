@@ -189,7 +189,7 @@ def _ranges(frames: Sequence[int]) -> str:
 
 def _film(studio: "Studio", shown: Sequence["Demonstration"], path: Path) -> None:
     """Write recordings, retargeted hands and replays side by side."""
-    from toolkit.recording.hands import Clip, record_clips
+    from toolkit.inspection.recording.hands import Clip, record_clips
 
     clips = []
     for d in shown:

@@ -78,7 +78,7 @@ def stress(
     if out:
         write_atomically(out / "result.json", (js.dumps(content, indent=1) + "\n").encode())
     if plot:
-        from toolkit.report.stress import stress_figure
+        from toolkit.inspection.report.stress import stress_figure
 
         stress_figure(robot.name, alone, plot)
     if json:

@@ -11,7 +11,7 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.recording.story import Story
+    from toolkit.inspection.recording.story import Story
 
 
 def expert(
@@ -116,7 +116,7 @@ def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Seque
 
 def record_run(*run: Any) -> "Story":
     """The recording of a run while it goes on, as ``Pipeline`` begins it; an installation without the viewer has none, and says so."""
-    from toolkit.recording.story import begin_story
+    from toolkit.inspection.recording.story import begin_story
 
     return begin_story(*run)
 

@@ -12,14 +12,14 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from toolkit.errors import ToolkitError
-from toolkit.film import shoot
+from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.film import shoot
+from toolkit.inspection.recording.scene import Cast, Casting
+from toolkit.inspection.report.stills import Studio
 from toolkit.io.jsonfiles import read_object, require
 from toolkit.io.quoting import plain
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.recording.scene import Cast, Casting
-from toolkit.report.stills import Studio
 from toolkit.runs.phases import Phase, Take, landmarks, load_phases
 from toolkit.runs.run import read_report
 from toolkit.simulation.plant import Plant, merged_plant

@@ -10,8 +10,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from toolkit.film import Film, closing_action
-from toolkit.recording.stream import Stream
+from toolkit.inspection.film import Film, closing_action
+from toolkit.inspection.recording.stream import Stream
 
 BLUE, ORANGE, GREEN, VERMILION, GREY, SKY, PINK = (
     (0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (120, 120, 120), (86, 180, 233), (204, 121, 167),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import rerun.blueprint as rrb
 
-from toolkit.recording.stream import FILM, ITERATION
+from toolkit.inspection.recording.stream import FILM, ITERATION
 
 Layout = Callable[[bool], rrb.Blueprint]
 """Makes the layout of a recording, or of an excerpt of it."""

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from rerun.chunk import Chunk, RrdReader
 
 from toolkit.errors import ToolkitError
+from toolkit.inspection.recording.programs import viewer_program
+from toolkit.inspection.recording.stream import FILM, LONGEST
 from toolkit.io.quoting import told
-from toolkit.recording.programs import viewer_program
-from toolkit.recording.stream import FILM, LONGEST
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

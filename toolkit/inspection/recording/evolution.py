@@ -15,9 +15,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
+from toolkit.inspection.drawn_tree import ROW, WIDTH, Plan, matrix
+from toolkit.inspection.recording.stream import Stream
 from toolkit.morphology.space import EvolutionSpace
-from toolkit.plan import ROW, WIDTH, Plan, matrix
-from toolkit.recording.stream import Stream
 
 KIND_COLOURS = {"source": (86, 180, 233), "meta": (170, 170, 170), "target": (204, 121, 167)}
 """Okabe and Ito (2008): apart for colour-blind eyes too."""

@@ -15,11 +15,11 @@ import rerun.blueprint as rrb
 
 from toolkit.deploy.runtime import LOG_FORMAT, STAGES
 from toolkit.errors import ToolkitError
+from toolkit.inspection.recording.layout import quiet_layout
+from toolkit.inspection.recording.learning import PATH_COLOURS
+from toolkit.inspection.recording.stream import finish
 from toolkit.io.jsonfiles import content_of, parsed_object, require
 from toolkit.io.quoting import markdown
-from toolkit.recording.layout import quiet_layout
-from toolkit.recording.learning import PATH_COLOURS
-from toolkit.recording.stream import finish
 
 TIMELINE = "tick"
 ACTIONS = ("x", "y", "z", "rx", "ry", "rz", "gripper")

@@ -16,10 +16,10 @@ import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
-from toolkit.recording.layout import page_timeline
-from toolkit.recording.rollouts import WINDOW
-from toolkit.recording.stream import FILM, ITERATION, Stream
-from toolkit.recording.viewer import chunks_of
+from toolkit.inspection.recording.layout import page_timeline
+from toolkit.inspection.recording.rollouts import WINDOW
+from toolkit.inspection.recording.stream import FILM, ITERATION, Stream
+from toolkit.inspection.recording.viewer import chunks_of
 
 ROOTS = {
     "evolution": ("/evolution/tree", "/evolution/pca2", "/evolution/pca3", "/evolution/alpha"),

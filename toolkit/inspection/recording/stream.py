@@ -18,8 +18,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from toolkit.errors import ToolkitError
+from toolkit.inspection.recording.programs import viewer_program
 from toolkit.io.quoting import told
-from toolkit.recording.programs import viewer_program
 
 APPLICATION = "meta-evolve"
 RESERVE = 32 << 20

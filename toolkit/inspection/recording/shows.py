@@ -11,20 +11,20 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
-from toolkit.film import Film, shoot
+from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.film import Film, shoot
+from toolkit.inspection.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
+from toolkit.inspection.recording.layout import pages_layout, quiet_layout, robot_view
+from toolkit.inspection.recording.learning import flat_curves
+from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
+from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.story import Cost, Story, story_layout
+from toolkit.inspection.recording.stream import FILM, Stream
+from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.io.quoting import markdown
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.plan import Plan
-from toolkit.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
-from toolkit.recording.layout import pages_layout, quiet_layout, robot_view
-from toolkit.recording.learning import flat_curves
-from toolkit.recording.rollouts import RolloutsPage, rollouts_views
-from toolkit.recording.scene import Casting, Scene
-from toolkit.recording.story import Cost, Story, story_layout
-from toolkit.recording.stream import FILM, Stream
-from toolkit.recording.viewer import chunks_of
 from toolkit.runs.phases import Phase, Take
 from toolkit.runs.run import Run, continuing, read_tree, transfer_records
 from toolkit.simulation.plant import Plant, merged_plant

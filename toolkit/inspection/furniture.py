@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from toolkit.morphology.appearance import Mesh, body_mesh
+from toolkit.inspection.appearance import Mesh, body_mesh
 
 SEEN = 0.4
 """Share of the largest weight from which on a robot shows at all."""

@@ -13,11 +13,11 @@ import numpy as np
 import rerun as rr
 from scipy.spatial.transform import Rotation
 
-from toolkit.film import Film
-from toolkit.furniture import furniture, opacity
-from toolkit.morphology.appearance import Mesh, Wardrobe, body_mesh
+from toolkit.inspection.appearance import Mesh, Wardrobe, body_mesh
+from toolkit.inspection.film import Film
+from toolkit.inspection.furniture import furniture, opacity
+from toolkit.inspection.recording.stream import Stream, x_first
 from toolkit.morphology.build import MergedRobot
-from toolkit.recording.stream import Stream, x_first
 
 FAINT = 0.02
 """A robot of less weight is not drawn."""

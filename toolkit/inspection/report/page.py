@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from toolkit.capability.figure import audit_figure
 from toolkit.errors import ToolkitError
+from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.report import figures
+from toolkit.inspection.report.stills import Studio
 from toolkit.io.atomic import write_atomically
-from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.plan import Plan
-from toolkit.report import figures
-from toolkit.report.stills import Studio
 from toolkit.runs.phases import Phase, load_phases
 from toolkit.runs.run import Run, read_audit, read_report, transfer_records
 

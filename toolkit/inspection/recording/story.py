@@ -14,18 +14,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
-from toolkit.film import shoot
+from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.film import shoot
+from toolkit.inspection.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
+from toolkit.inspection.recording.layout import page_timeline, pages_layout, robot_view
+from toolkit.inspection.recording.learning import LearningPage, learning_views
+from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
+from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.stream import Stream
 from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.appearance import Wardrobe
 from toolkit.morphology.build import MergedRobot
-from toolkit.plan import Plan
-from toolkit.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
-from toolkit.recording.layout import page_timeline, pages_layout, robot_view
-from toolkit.recording.learning import LearningPage, learning_views
-from toolkit.recording.rollouts import RolloutsPage, rollouts_views
-from toolkit.recording.scene import Casting, Scene
-from toolkit.recording.stream import Stream
 from toolkit.runs.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.simulation.plant import Plant, merged_plant
 

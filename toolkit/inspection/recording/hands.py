@@ -19,9 +19,9 @@ import rerun.blueprint as rrb
 
 from tasks.dexycb import FINGERS, JOINT_NAMES
 from tasks.objects import PickObject
-from toolkit.morphology.appearance import body_mesh
-from toolkit.recording.layout import BACKGROUND, quiet_layout
-from toolkit.recording.stream import FILM, Stream, x_first
+from toolkit.inspection.appearance import body_mesh
+from toolkit.inspection.recording.layout import BACKGROUND, quiet_layout
+from toolkit.inspection.recording.stream import FILM, Stream, x_first
 
 PAUSE = 0.6
 """[s] between two recordings."""

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from toolkit.inspection.drawn_tree import Plan, matrix
 from toolkit.io.quoting import letters
 from toolkit.morphology.space import EvolutionSpace
-from toolkit.plan import Plan, matrix
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 2, 2, 2)))
 MARKERS = "osv^Dx+*"

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from toolkit.errors import ToolkitError
-from toolkit.furniture import furniture, opacity
-from toolkit.morphology.appearance import Wardrobe, body_mesh
+from toolkit.inspection.appearance import Wardrobe, body_mesh
+from toolkit.inspection.furniture import furniture, opacity
 from toolkit.morphology.build import MergedRobot
 
 CAMERA = {"lookat": (-0.27, 0.0, 1.15), "distance": 1.35, "azimuth": 125.0, "elevation": -18.0}

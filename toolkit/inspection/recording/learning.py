@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
-from toolkit.recording.stream import Stream
+from toolkit.inspection.recording.stream import Stream
 
 PATH_COLOURS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (120, 120, 120), (150, 130, 20))
 CURVES = {
