@@ -16,9 +16,9 @@ import robots
 from grippers import GRIPPERS
 from grippers.gripper import Gripper
 from robots import ROBOTS
+from toolkit.benchmarks.parity import parity
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
-from toolkit.morphology.parity import parity
 from toolkit.morphology.space import EvolutionSpace
 
 PAGE = (Path(__file__).parent.parent / "docs" / "add-a-robot.md").read_text(encoding="utf-8")

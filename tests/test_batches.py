@@ -18,10 +18,10 @@ from tasks import TASKS
 from tasks.dexycb import read_recording, sequences
 from tasks.dexycb_standin import write_standin
 from toolkit import cli
+from toolkit.benchmarks.results import finished_runs, write_results
 from toolkit.cli import main
 from toolkit.demonstrations.rehearsal import Broken, Studio, teachers_for
 from toolkit.errors import ToolkitError
-from toolkit.results import finished_runs, write_results
 from toolkit.runs.phases import FOLDER, Phase, load_phases
 from toolkit.runs.run import Run
 
@@ -172,7 +172,7 @@ def test_a_target_without_a_policy_leaves_the_others_evaluated(tmp_path, capsys)
 
 
 def test_a_broken_run_is_left_out_of_the_page(tmp_path):
-    from toolkit.fuzz import _run_of
+    from toolkit.benchmarks.fuzz import _run_of
 
     suite = tmp_path / "suite"
     for name in ("good", "bad", "odd"):
@@ -188,7 +188,7 @@ def test_a_broken_run_is_left_out_of_the_page(tmp_path):
 
 
 def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypatch, capsys):
-    from toolkit import results
+    from toolkit.benchmarks import results
     from toolkit.cli import benchmarks
     from toolkit.transfer import pipeline
 

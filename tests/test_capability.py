@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.pick import ACTION_SIZE, START_ROTATION
+from toolkit.benchmarks import parity
 from toolkit.capability.audit import LEADS, SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
 from toolkit.capability.bench import Bench, Capability
 from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
-from toolkit.morphology import parity
 from toolkit.morphology.lab import Lab
 from toolkit.morphology.linkage import BOX_WIDTH, closed_on_box
 from toolkit.simulation.plant import merged_plant

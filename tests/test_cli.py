@@ -417,17 +417,17 @@ def lab(monkeypatch, space, merged, task):
 
 def test_the_tree_of_the_robots(capsys, monkeypatch, space):
     """With what the tree would cost for the hand on the other arms, and as the targets join."""
-    import toolkit.survey
+    import toolkit.morphology.survey
 
     made = []
 
     def as_points(robots):
         made.append([robot.name for robot in robots])
-        points = {name: toolkit.survey.Terminal(name, space.beta(name)) for name in space.matching.names}
+        points = {name: toolkit.morphology.survey.Terminal(name, space.beta(name)) for name in space.matching.names}
         # the hand on another arm stands where the source does, a little aside
-        return [points.get(r.name, toolkit.survey.Terminal(r.name, 0.9 * points["adroit"].alpha + 0.05)) for r in robots]
+        return [points.get(r.name, toolkit.morphology.survey.Terminal(r.name, 0.9 * points["adroit"].alpha + 0.05)) for r in robots]
 
-    monkeypatch.setattr(toolkit.survey, "as_points", as_points)
+    monkeypatch.setattr(toolkit.morphology.survey, "as_points", as_points)
     found = answer(capsys, "tree", "--arms", "--growth")
     check_tree(found, "adroit", TARGETS)
     assert found["optimal"] and all(len(node["alpha"]) == space.size for node in found["nodes"])

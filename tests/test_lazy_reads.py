@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from toolkit.benchmarks.fuzz import _run_of
+from toolkit.benchmarks.results import finished_runs
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.fuzz import _run_of
 from toolkit.inspection.recording import excerpt, viewer
 from toolkit.inspection.recording.stream import Stream
-from toolkit.results import finished_runs
 from toolkit.runs.run import Run
 
 

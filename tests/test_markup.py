@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolkit.benchmarks.fuzz import _report_of, _run_of
+from toolkit.benchmarks.results import read_result, write_results
 from toolkit.cli import main
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal, evolution_tree, plot_tree
-from toolkit.fuzz import _report_of, _run_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.report import figures, page
 from toolkit.io.quoting import markdown, plain, told
-from toolkit.results import read_result, write_results
 from toolkit.transfer.pipeline import summary
 
 NAMES = (

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
+from toolkit.benchmarks import parity as measure
+from toolkit.benchmarks.parity import parity
 from toolkit.errors import ToolkitError
-from toolkit.morphology import parity as measure
+from toolkit.inspection.merged_tree import plot_merged_tree
 from toolkit.morphology.matching import CUBE
-from toolkit.morphology.parity import parity, plot_merged_tree
 
 KEYS = [
     "name", "arm_fk_error_m", "arm_mass_matrix_rel_error", "pad_position_error_m", "pad_angle_error_deg",

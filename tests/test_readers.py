@@ -19,11 +19,11 @@ import pytest
 
 from tasks.npz import ArrayError, Arrays
 from toolkit import cli
+from toolkit.benchmarks.fuzz import FORMATS, fuzz, outcome_of
 from toolkit.bundle.onnx_graph import METADATA_KEY, onnx_from_bytes
 from toolkit.bundle.reading import SHIPPED, load_bundle
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.fuzz import FORMATS, fuzz, outcome_of
 from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
 from toolkit.io.tensors import read_tensors
 from toolkit.runs.phases import Phase, Take, load_phase
@@ -48,7 +48,7 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
 
 def test_the_fuzzer_finds_readers_that_break(tmp_path, monkeypatch):
     """One that raises something else, and one that ends its process, are told from each other and from the next file."""
-    from toolkit import fuzz as module
+    from toolkit.benchmarks import fuzz as module
 
     code = (
         "import os\nfrom toolkit import fuzz\nfrom toolkit.errors import ToolkitError\n"

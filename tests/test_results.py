@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from toolkit.benchmarks.results import PAPER, finished_runs, read_result, results_json, write_results
 from toolkit.errors import ToolkitError
-from toolkit.results import PAPER, finished_runs, read_result, results_json, write_results
 from toolkit.runs.run import Run
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit import sensitivity
+from toolkit.benchmarks import metrics as sensitivity
+from toolkit.benchmarks.metrics import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.expert.training import new_learner
 from toolkit.morphology.lab import Lab
-from toolkit.sensitivity import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 
 
 def test_weighted_terminals_are_apart_by_the_weighted_distance():

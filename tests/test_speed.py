@@ -9,16 +9,7 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit.demonstrations.scripts import PickScript
-from toolkit.expert.shelf import load_expert
-from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.matching import match
-from toolkit.morphology.space import EvolutionSpace
-from toolkit.simulation.divergence import STATE
-from toolkit.simulation.native import NativeRobot
-from toolkit.simulation.plant import merged_plant, native_plant
-from toolkit.simulation.rollout import RolloutEngine
-from toolkit.speed import (
+from toolkit.benchmarks.engine import (
     STRETCH,
     bare_steps,
     measure_engine,
@@ -30,6 +21,15 @@ from toolkit.speed import (
     time_shares,
     with_hand,
 )
+from toolkit.demonstrations.scripts import PickScript
+from toolkit.expert.shelf import load_expert
+from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.matching import match
+from toolkit.morphology.space import EvolutionSpace
+from toolkit.simulation.divergence import STATE
+from toolkit.simulation.native import NativeRobot
+from toolkit.simulation.plant import merged_plant, native_plant
+from toolkit.simulation.rollout import RolloutEngine
 
 SOURCE = next(robot for robot in ROBOTS.values() if robot.source_of_policy)
 OTHER_ARMS = list({robot.arm: robot for robot in ROBOTS.values() if robot.arm != SOURCE.arm}.values())

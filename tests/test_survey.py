@@ -6,7 +6,7 @@ import pytest
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal, evolution_tree
-from toolkit.survey import as_points, compare_arms, growth, hand_on_arms
+from toolkit.morphology.survey import as_points, compare_arms, growth, hand_on_arms
 
 ADROIT, JACO, KINOVA3 = ROBOTS["adroit"], ROBOTS["jaco"], ROBOTS["kinova3"]
 

@@ -149,7 +149,7 @@ def bench_transfer(
     failed = {}
     if play:
         failed = _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
-    from toolkit.results import finished_runs, results_json, write_results
+    from toolkit.benchmarks.results import finished_runs, results_json, write_results
 
     command = told("bench", "transfer", "--suite", suite)
     page = write_results(out, "Results on unmodified robosuite robots", command)
@@ -215,8 +215,8 @@ def bench_engine(
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
     room_for(page, (".md", ".markdown", ".txt"))
     systems = [find_robot(name) for name in (robots or ROBOTS)]
+    from toolkit.benchmarks.engine import measure_engine, performance_page
     from toolkit.expert.shelf import load_expert
-    from toolkit.speed import measure_engine, performance_page
 
     policy, _ = load_expert(source, task)
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
@@ -306,7 +306,7 @@ def bench_walk(
         table(f"{source}'s expert along the tree", ["from", "to", "share", "successes", "diverged"],
               [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])  # fmt: skip
     if plot is not None:
-        from toolkit.results import plot_walk
+        from toolkit.benchmarks.results import plot_walk
 
         plot_walk(found, plot)
 
@@ -331,7 +331,7 @@ def bench_tree(
         longer: also search so many times longer, and compare; 20 takes minutes.
         json: print one JSON object.
     """
-    from toolkit.evolution.timing import time_trees
+    from toolkit.benchmarks.trees import time_trees
     from toolkit.evolution.tree import MAX_TERMINALS
 
     if not terminals or min(terminals) < 2 or max(terminals) > MAX_TERMINALS:
@@ -381,8 +381,8 @@ def bench_metric(
     if robots < 3 or episodes < 1 or seed < 0:
         raise ToolkitError(f"robots is {robots}, episodes {episodes}, seed {seed}; give at least 3, 1 and 0")
     lab = make_lab(source, targets, task)
+    from toolkit.benchmarks.metrics import compare_metrics
     from toolkit.expert.shelf import load_expert
-    from toolkit.sensitivity import compare_metrics
     from toolkit.simulation.rollout import RolloutEngine
 
     policy, _ = load_expert(source, task, expert)
@@ -459,8 +459,8 @@ def bench_fuzz(
         seed: of the damage.
         json: print one JSON object.
     """
+    from toolkit.benchmarks.fuzz import FORMATS, fuzz
     from toolkit.bundle.reading import find_bundle
-    from toolkit.fuzz import FORMATS, fuzz
 
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or files < 1 or seed < 0:

@@ -87,7 +87,8 @@ def match(
     targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
     with Progress("match", quiet=json) as progress:
         lab = make_lab(source, targets, TASK)
-        from toolkit.morphology.parity import become_milliseconds, parity, plot_merged_tree
+        from toolkit.benchmarks.parity import become_milliseconds, parity
+        from toolkit.inspection.merged_tree import plot_merged_tree
         from toolkit.morphology.quantities import QUANTITIES
 
         figures = []
