@@ -15,21 +15,14 @@ from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
 from toolkit.demonstrations.scripts import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
-from toolkit.evaluation.success import EVALUATION_SEEDS, evaluate_merged
+from toolkit.evaluation.success import evaluate_merged
 from toolkit.expert.shelf import RECORDED, SHIPPED, entry_names, expert_files, load_expert, save_expert, shipped_experts, shipped_pair
-from toolkit.expert.training import (
-    DEMONSTRATION_SEEDS,
-    OBSERVATION_NOISE,
-    ExpertConfig,
-    NoisyScript,
-    _with_noise,
-    new_learner,
-    train_expert,
-)
+from toolkit.expert.training import OBSERVATION_NOISE, ExpertConfig, NoisyScript, _with_noise, new_learner, train_expert
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
+from toolkit.runs.seeds import DEMONSTRATION_SEEDS, EVALUATION_SEEDS
 
 SOURCE = "adroit"
 CARDS = sorted(SHIPPED.glob("*.json"))
@@ -119,9 +112,10 @@ def test_no_two_purposes_share_seeds():
         for file in sorted(Path(toolkit.__file__).parent.rglob("*.py"))
         for name, value in named.findall(file.read_text())
     }
-    assert found.pop(("runtime", "EVALUATION_SEEDS")) == found.pop(("evaluation", "EVALUATION_SEEDS")) == EVALUATION_SEEDS
+    assert {file for file, _ in found} == {"seeds", "settings"}, "seeds are named in one file, a transfer's own beside its schedule"
+    assert found.pop(("seeds", "EVALUATION_SEEDS")) == EVALUATION_SEEDS
     assert found.pop(("settings", "TRAINING_SEEDS")) == BLOCK, "training's seeds are the first million"
-    assert {("expert", "EXPERT_SEEDS"), ("expert", "VISIT_SEEDS"), ("settings", "DEMONSTRATION_SEEDS")} <= found.keys()
+    assert {("seeds", "EXPERT_SEEDS"), ("seeds", "VISIT_SEEDS"), ("settings", "DEMONSTRATION_SEEDS")} <= found.keys()
     blocks = {name: divmod(first, BLOCK) for name, first in found.items()}
     assert len({block for block, _ in blocks.values()}) == len(blocks) and all(rest == 0 for _, rest in blocks.values()), blocks
     assert all(0 < block and (block + 1) * BLOCK <= EVALUATION_SEEDS for block, _ in blocks.values()), blocks

@@ -13,8 +13,8 @@ from toolkit.deploy import faults
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.faults import HARMS, onsets, trial, trials
 from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
-from toolkit.deploy.runtime import EVALUATION_SEEDS
 from toolkit.export.twin import Twin
+from toolkit.runs.seeds import EVALUATION_SEEDS
 
 CLOCKLESS = tuple(harm for harm in HARMS if not harm.real)
 

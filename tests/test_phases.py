@@ -8,6 +8,7 @@ from toolkit.expert.shelf import load_expert
 from toolkit.inspection.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
+from toolkit.learning.policy import MeanActor
 from toolkit.runs.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
 from toolkit.simulation.plant import merged_plant
 from toolkit.simulation.rollout import play
@@ -107,7 +108,7 @@ def test_a_damaged_phase_is_named(tmp_path, policy, damage):
 def test_a_film_is_the_episode_again(merged, policy):
     """Same policy, robot and seed: the same actions, bit by bit; contact forces hold the object against gravity."""
     beta = merged.space.betas[0]
-    actor = lambda observation, rng: policy.mean(observation)  # noqa: E731
+    actor = MeanActor(policy)
     played = play(merged_plant(merged, beta, *merged.new()), actor, 11, beta)
     film = shoot(merged_plant(merged, beta, *merged.new()), actor, 11, beta)
     np.testing.assert_array_equal(film.actions, played.actions)

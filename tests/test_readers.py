@@ -51,7 +51,7 @@ def test_the_fuzzer_finds_readers_that_break(tmp_path, monkeypatch):
     from toolkit.benchmarks import fuzz as module
 
     code = (
-        "import os\nfrom toolkit import fuzz\nfrom toolkit.errors import ToolkitError\n"
+        "import os\nfrom toolkit.benchmarks import fuzz\nfrom toolkit.errors import ToolkitError\n"
         "def read(file):\n"
         "    data = file.read_bytes()\n"
         "    if data == b'sound': return\n"

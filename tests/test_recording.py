@@ -19,6 +19,7 @@ from toolkit.inspection.recording import excerpt, learning, rollouts, shows, vie
 from toolkit.inspection.recording.scene import Casting, Scene
 from toolkit.inspection.recording.story import SHARE, Story
 from toolkit.inspection.recording.stream import Stream
+from toolkit.learning.policy import MeanActor
 from toolkit.runs.phases import Phase, Take, Witness, landmarks, load_phases
 from toolkit.runs.run import Run
 from toolkit.simulation.plant import merged_plant, native_plant
@@ -53,7 +54,7 @@ def run(small, policy, tmp_path_factory):
     half = start + 0.5 * (end - start)
     cost = {"train_iterations": 0, "sim_epochs": 0, "check_episodes": 2, "diverged": 0}
     witness = Witness(folder)
-    mean = lambda observation, rng: policy.mean(observation)  # noqa: E731
+    mean = MeanActor(policy)
     plants = {"evolve": lambda alpha: merged_plant(small.merged, alpha, *small.merged.new()),
               "settle": lambda alpha: native_plant(ROBOTS["jaco"], small.task)}  # fmt: skip
     for second, (event, stage, before, after, seeds) in enumerate(
@@ -125,7 +126,7 @@ def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, kn
     """The last film is on the unmodified Jaco: instances of its meshes against mj_kinematics, to 1e-5."""
     from toolkit.inspection.film import shoot
 
-    film = shoot(known.native("jaco"), lambda observation, rng: policy.mean(observation), 11, small.space.betas[1])
+    film = shoot(known.native("jaco"), MeanActor(policy), 11, small.space.betas[1])
     model, data = film.model, mujoco.MjData(film.model)
     body = model.body("robot0_j2s7s300_link_4").id
     (entity,) = [path for path in rows if path.endswith("/j2s7s300_link_4")]
@@ -364,7 +365,7 @@ def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
     records = (stuck / "metrics.jsonl").read_text().splitlines(keepends=True)
     (stuck / "metrics.jsonl").write_text("".join(records[:2]))
     played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
-                   lambda observation, rng: known.policy.mean(observation), 11, known.merged.space.betas[1])]  # fmt: skip
+                   MeanActor(known.policy), 11, known.merged.space.betas[1])]  # fmt: skip
     policies = [known.policy] * len(played)
     Witness(stuck, {"path 1": 1}).saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
     cost = shows.rebuild(shows.Known(stuck, known.merged, known.policy, known.native, {}))

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.evaluation.success import EVALUATION_SEEDS
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.evolution.bend import Bend
 from toolkit.learning.episode import Episode
@@ -24,6 +23,7 @@ from toolkit.learning.exploration import Explored, SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
+from toolkit.runs.seeds import EVALUATION_SEEDS
 from toolkit.transfer.meta_evolve import Transfer
 from toolkit.transfer.settings import CHECKING_SEEDS, TRAINING_SEEDS, TransferConfig
 

@@ -14,8 +14,9 @@ from scipy.stats import spearmanr
 
 from toolkit.capability.bench import Bench
 from toolkit.evolution import Terminal, evolution_tree
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
+from toolkit.runs.seeds import SENSITIVITY_SEEDS
 from toolkit.simulation.plant import merged_plant
 from toolkit.simulation.rollout import RolloutEngine, Tape, play_on
 
@@ -23,8 +24,6 @@ REACH = 0.1
 """h: far enough for contact to answer, near enough to be local [alpha]."""
 STEPS = 30
 """Policy steps of a short rollout: approach and closing."""
-SENSITIVITY_SEEDS = 7 * 10**6
-"""Rollouts and judgements take their seeds from here on."""
 
 
 def sensitivities(merged: MergedRobot, policy: GaussianPolicy, alpha: np.ndarray, seeds: int = 1) -> Iterator[float]:
@@ -54,7 +53,7 @@ def _course(
     """Observations (T, n_obs) of the mean action on F(alpha)."""
     plant = merged_plant(merged, alpha, model, data)
     first = plant.begin(SENSITIVITY_SEEDS + seed)
-    played = play_on(plant, lambda o, rng: policy.mean(o), np.random.default_rng(0), first, STEPS, Tape())
+    played = play_on(plant, MeanActor(policy), np.random.default_rng(0), first, STEPS, Tape())
     return np.nan_to_num(np.array([*played.observations, played.observation]))
 
 
@@ -120,7 +119,7 @@ def judge(
         goal = targets[rng.integers(len(targets))].alpha
         moved = rng.random(goal.size) < rng.random()
         alpha = np.where(moved, source.alpha + rng.random() * (goal - source.alpha), source.alpha)
-        played = engine.play(lambda observation, _: policy.mean(observation), [alpha] * episodes, seeds)
+        played = engine.play(MeanActor(policy), [alpha] * episodes, seeds)
         alphas.append(alpha)
         success.append(np.mean([episode.success for episode in played]))
     return Judgement(np.array(alphas), np.array(success))

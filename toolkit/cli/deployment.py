@@ -115,7 +115,7 @@ def deploy(
     try:
         if dry_run:
             from toolkit.cli.listening import ListenedTwin, dry
-            from toolkit.deploy.runtime import EVALUATION_SEEDS
+            from toolkit.runs.seeds import EVALUATION_SEEDS
 
             dry(loaded, driver, ListenedTwin(arm, EVALUATION_SEEDS + seed * 10**6), arm.leave, form, ticks, json)
             return
@@ -135,7 +135,8 @@ def _deploy(
     """Play the episodes; returns what ``deploy --json`` prints, but for the driver's name."""
     import numpy as np
 
-    from toolkit.deploy.runtime import EVALUATION_SEEDS, Runtime, TickLog, play, wilson_interval
+    from toolkit.deploy.runtime import Runtime, TickLog, play, wilson_interval
+    from toolkit.runs.seeds import EVALUATION_SEEDS
 
     manifest = bundle.manifest
     info = arm.connect()

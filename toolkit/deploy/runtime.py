@@ -28,10 +28,6 @@ STAGES = ("read", "observe", "policy", "command", "send")
 """Parts of a tick that the log times [ms]; the runtime's own are all but read and send, which wait for the arm."""
 
 
-EVALUATION_SEEDS = 10**9
-"""First seed of the episodes of evaluate and verify, which the twin plays again."""
-
-
 def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
     """95 % interval of a success rate (Wilson 1927)."""
     z, rate = 1.959963984540054, successes / episodes

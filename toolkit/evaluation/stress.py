@@ -22,11 +22,11 @@ from robots.robot import Robot
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
 from toolkit.bundle.reading import load_bundle
 from toolkit.errors import ToolkitError
-from toolkit.evaluation.success import EVALUATION_SEEDS
 from toolkit.io.claims import open_claimed
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIPPER_PREFIX, arm_joints
 from toolkit.quiet import start_worker
+from toolkit.runs.seeds import EVALUATION_SEEDS
 from toolkit.simulation.native import NativeRobot
 
 GOOD = 0.9

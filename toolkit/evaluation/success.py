@@ -16,14 +16,12 @@ from robots.robot import Robot
 from tasks.pick import PickTask
 from toolkit.bundle.reading import Bundle, load_bundle
 from toolkit.errors import ToolkitError
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.native_scene import model_sha256
 from toolkit.quiet import start_worker
+from toolkit.runs.seeds import EVALUATION_SEEDS
 from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
-
-EVALUATION_SEEDS = 10**9
-"""First seed of evaluations; training and the schedule's own checks stay far below."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, 
     """Success of the policy's mean action on F(beta) of ``target``, on seeds that training never saw."""
     beta = engine.merged.space.beta(target)
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
-    played = engine.play(lambda observation, rng: policy.mean(observation), [beta] * episodes, seeds)
+    played = engine.play(MeanActor(policy), [beta] * episodes, seeds)
     return Evaluation(target, "merged", episodes, sum(e.success for e in played), sum(e.diverged for e in played), seeds[0])
 
 
@@ -75,7 +73,7 @@ def evaluate_compiled(policy: GaussianPolicy, robot: Robot, task: PickTask, epis
     """As ``evaluate_native``, on the same seeds, with the compiled control step in place of robosuite's: some ten times faster."""
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
     engine = NativeEngine(robot, task)
-    played = engine.play(lambda observation, rng: policy.mean(observation), [np.zeros(1)] * episodes, seeds)
+    played = engine.play(MeanActor(policy), [np.zeros(1)] * episodes, seeds)
     engine.close()
     successes, diverged = (sum(getattr(e, key) for e in played) for key in ("success", "diverged"))
     return Evaluation(robot.name, "native-compiled", episodes, successes, diverged, seeds[0])

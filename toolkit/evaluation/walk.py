@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolkit.evaluation.success import EVALUATION_SEEDS
 from toolkit.evolution import EvolutionTree
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
+from toolkit.runs.seeds import EVALUATION_SEEDS
 from toolkit.simulation.rollout import RolloutEngine
 
 
@@ -46,6 +46,6 @@ def walk(
         start, end = tree.nodes[edge.start], tree.nodes[edge.end]
         for share in np.linspace(0.0, 1.0, steps + 1):
             alpha = start.alpha + share * (end.alpha - start.alpha)
-            played = engine.play(lambda observation, rng: policy.mean(observation), [alpha] * episodes, seeds)
+            played = engine.play(MeanActor(policy), [alpha] * episodes, seeds)
             yield Waypoint(start.name, end.name, float(share), episodes, sum(e.success for e in played),
                            sum(e.diverged for e in played))  # fmt: skip

@@ -13,16 +13,14 @@ from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import entry_names
 from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
-from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
+from toolkit.learning.policy import GaussianPolicy, MeanActor, ValueFunction, learner_tensors, load_learner
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
+from toolkit.runs.seeds import DEMONSTRATION_SEEDS, EXPERT_SEEDS, VISIT_SEEDS
 from toolkit.simulation.rollout import RolloutEngine
 
 Script = PickScript | TrackScript
-DEMONSTRATION_SEEDS = 3 * 10**6
-EXPERT_SEEDS = 4 * 10**6
-VISIT_SEEDS = 5 * 10**6
 _NOISE = {
     "finger": 0.3, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.1, "object_from_grasp": 0.01,
     "object_rotation": 0.2, "goal_from_object": 0.03,
@@ -146,7 +144,7 @@ def _visit(
     """Let the clone play, add what the teacher would have done where it went (Ross et al. 2011, DAgger); its success."""
     first, half = VISIT_SEEDS + round_ * config.visits, config.visits // 2
     seeds = list(range(first, first + config.visits))
-    mean = lambda observation, rng: policy.mean(observation)  # noqa: E731
+    mean = MeanActor(policy)
     played = engine.play(mean, [beta] * half, seeds[:half]) + engine.play(policy.act, [beta] * (config.visits - half), seeds[half:])
     states, wanted = _with_noise(np.concatenate([episode.observations for episode in played]), script, 1, rng)
     more = replace(lessons, seen=np.concatenate([lessons.seen, states]), labels=np.concatenate([lessons.labels, wanted]))

@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -343,6 +344,21 @@ class GaussianPolicy(_Network):
     def _blank(cls, header: dict[str, Any]) -> Self:
         rng = np.random.default_rng(0)
         return cls(header["observation_names"], header["action_names"], rng, header["hidden"])
+
+
+@dataclass(frozen=True)
+class MeanActor:
+    """A policy that plays its most likely action and draws nothing; may be sent to another process.
+
+    Attributes:
+        policy: whose mean it plays.
+    """
+
+    policy: GaussianPolicy
+
+    def __call__(self, observation: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Action (n_act,) for an observation (n_obs,)."""
+        return self.policy.mean(observation)
 
 
 class ValueFunction(_Network):

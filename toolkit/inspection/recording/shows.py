@@ -23,7 +23,7 @@ from toolkit.inspection.recording.story import Cost, Story, story_layout
 from toolkit.inspection.recording.stream import FILM, Stream
 from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.io.quoting import markdown
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.phases import Phase, Take
 from toolkit.runs.run import Run, continuing, read_tree, transfer_records
@@ -174,7 +174,7 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
         if target not in known.trained:
             raise ToolkitError(f"{known.folder} has no policy for {target!r} yet; it has: {', '.join(known.trained) or 'none'}")
         policy, beta = known.trained[target], merged.space.beta(target)
-        film = shoot(merged_plant(merged, beta, *merged.new()), lambda observation, rng, p=policy: p.mean(observation), seed, beta)
+        film = shoot(merged_plant(merged, beta, *merged.new()), MeanActor(policy), seed, beta)
         films.append(film)
         casts.append(casting.playing(film, beta))
     stream.arrange(compare_layout([label for label, _, _ in sides]))

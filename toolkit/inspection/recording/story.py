@@ -24,7 +24,7 @@ from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.inspection.recording.scene import Casting, Scene
 from toolkit.inspection.recording.stream import Stream
 from toolkit.io.quoting import markdown, told
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.phases import FOLDER, Phase, Take, landmarks, load_phase
 from toolkit.simulation.plant import Plant, merged_plant
@@ -242,7 +242,7 @@ class Story:
         if plant is None:
             return
         policy = phase.play_as(take, self.policy)
-        actor = policy.act if take.noise else (lambda observation, rng: policy.mean(observation))
+        actor = policy.act if take.noise else MeanActor(policy)
         film = shoot(plant, actor, take.seed, take.alpha)
         times = self.clock + film.interval * np.arange(len(film.qpos))
         cast = self._casting.playing(film, take.alpha) if phase.stage == "evolve" else self._casting.native(film, phase.targets[0])

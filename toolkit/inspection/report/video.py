@@ -18,7 +18,7 @@ from toolkit.inspection.recording.scene import Cast, Casting
 from toolkit.inspection.report.stills import Studio
 from toolkit.io.jsonfiles import read_object, require
 from toolkit.io.quoting import plain
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.phases import Phase, Take, landmarks, load_phases
 from toolkit.runs.run import read_report
@@ -89,7 +89,7 @@ class _Stage:
     def episode(self, phase: Phase, take: Take) -> tuple[Cast, np.ndarray, str]:
         """An episode played again: its robot, its goal (3,) [m], and how it ended."""
         policy = phase.play_as(take, self.policy)
-        actor = policy.act if take.noise else (lambda observation, rng: policy.mean(observation))
+        actor = policy.act if take.noise else MeanActor(policy)
         if phase.stage == "evolve":
             film = shoot(merged_plant(self.merged, take.alpha, *self.merged.new()), actor, take.seed, take.alpha)
             return self.casting.playing(film, take.alpha), film.goal, film.verdict()
