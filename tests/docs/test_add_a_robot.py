@@ -21,7 +21,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 
-PAGE = (Path(__file__).parent.parent / "docs" / "add-a-robot.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "add-a-robot.md").read_text(encoding="utf-8")
 CODE = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 
 
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 
 def environment(folder):
     """os.environ with a folder before the repository on the path."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join((str(folder), str(Path(__file__).parent.parent)))}
+    return os.environ | {"PYTHONPATH": os.pathsep.join((str(folder), str(Path(__file__).parents[2])))}
 
 
 def test_the_check_passes_and_the_robot_is_known(folder):
@@ -73,7 +73,7 @@ def test_the_pages_gripper_is_pandas():
 
 def test_the_messages_are_those_of_the_validator():
     """Each message of the page's table appears, up to its dots, in the tests that provoke it."""
-    tests = (Path(__file__).parent / "test_validation.py").read_text(encoding="utf-8").replace("\\", "")
+    tests = (Path(__file__).parents[1] / "morphology" / "test_validation.py").read_text(encoding="utf-8").replace("\\", "")
     messages = re.findall(r"^\| [^|]+ \| `([^`]+)` \|$", PAGE, re.M)
     assert len(messages) >= 10
     for message in messages:

@@ -22,7 +22,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import Evaluation
 from toolkit.export.twin import WATCHDOG, Twin
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 BLOCKED = ("torch", "robosuite", "rerun", "pinocchio", "numba", "onnx", "safetensors", "gymnasium_robotics", "matplotlib")
 
 

@@ -1,7 +1,7 @@
 """What opens well may fail further on: every lazy read says so in one sentence, at the latest when it comes to it.
 
 Places: recordings of older versions or with damage inside (view, stills, excerpts, layouts), a run's report, tree, records and git
-state, checkpoints of another version. Files that are damaged at random are in tests/test_readers.py.
+state, checkpoints of another version. Files that are damaged at random are in tests/benchmarks/test_fuzz.py.
 """
 
 import json

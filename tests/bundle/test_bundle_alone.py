@@ -28,7 +28,7 @@ from toolkit.export.packing import write_bundle
 
 TARGETS = ("jaco", "iiwa", "panda")  # an opening preshape, a base that turns with joint 1, fingers that slide
 LABEL = Success(40, 30, 0.75, (0.59, 0.86), 10**9, "nowhere: a test")
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")

@@ -185,7 +185,7 @@ def test_the_commands_print_quoted_lines(tmp_path, monkeypatch, capsys):
 
 def test_no_line_for_people_is_pasted_together():
     """Every command that a message recommends with a value in it goes through the quoting."""
-    root = Path(page.__file__).parents[1]
+    root = Path(page.__file__).parents[2]
     found = [f"{file.name}: {line.strip()}" for file in root.rglob("*.py") for line in file.read_text().splitlines()
              if re.search(r"meta-evolve [a-z].*\{(?!told)", line) and "robots --check {robot.name}" not in line
              and "--targets {robot.name}" not in line]  # fmt: skip

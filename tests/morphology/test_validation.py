@@ -232,5 +232,5 @@ def environment(*folders):
     import os
     from pathlib import Path
 
-    root = Path(__file__).parent.parent
+    root = Path(__file__).parents[2]
     return os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (*folders, root)))}

@@ -20,7 +20,7 @@ from toolkit.errors import ToolkitError
 from toolkit.inspection.recording import viewer
 from toolkit.inspection.recording.deployment import record_deployment
 
-PAGE = Path(__file__).parent.parent / "docs" / "deploy.md"
+PAGE = Path(__file__).parents[2] / "docs" / "deploy.md"
 COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE.read_text(), re.DOTALL) for line in block.splitlines() if line]
 
 

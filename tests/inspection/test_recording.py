@@ -25,7 +25,7 @@ from toolkit.runs.run import Run
 from toolkit.simulation.plant import merged_plant, native_plant
 from toolkit.simulation.rollout import play
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import tyro
 
 from toolkit.cli import inspection
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "inspect.md").read_text(encoding="utf-8")
 COMMANDS = sorted(set(re.findall(r"meta-evolve (?:view|report|morph) [^`\n#]+", TEXT)))
 

@@ -1,6 +1,6 @@
 """Optional outputs: recording, pictures, logs, dumps and summaries never decide what becomes of the work, and their loss is told.
 
-The log of an arm and lost progress are in tests/test_exits.py.
+The log of an arm and lost progress are in tests/cli/test_exits.py.
 """
 
 import json

@@ -2,7 +2,7 @@
 
 The suite plays 1500 ticks per form. A million per form take about an hour of an idle core:
 
-    META_EVOLVE_SAFETY_TICKS=1000000 python -m pytest tests/test_deploy_safety.py -k adversarial
+    META_EVOLVE_SAFETY_TICKS=1000000 python -m pytest tests/deploy/test_safety.py -k adversarial
 """
 
 import dataclasses
