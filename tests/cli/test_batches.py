@@ -15,8 +15,8 @@ import pytest
 
 from robots import ROBOTS
 from tasks import TASKS
-from tasks.dexycb import read_recording, sequences
-from tasks.dexycb_standin import write_standin
+from tasks.dexycb.recording import read_recording, sequences
+from tasks.dexycb.standin import write_standin
 from toolkit import cli
 from toolkit.benchmarks.results import finished_runs, write_results
 from toolkit.cli import main

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from grippers.gripper import COMMANDED_ROLES
 from robots import ROBOTS
 from tasks import TASKS
-from tasks.dexycb import FINGERS, JOINT_NAMES
-from tasks.dexycb_standin import SERIALS, write_standin
+from tasks.dexycb.recording import FINGERS, JOINT_NAMES
+from tasks.dexycb.standin import SERIALS, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
 from toolkit.demonstrations.rehearsal import Dropped, Studio, teachers_for

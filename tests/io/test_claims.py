@@ -280,7 +280,7 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()], ids=repr)
 def test_recordings_appear_whole_or_not_at_all(tmp_path, monkeypatch, error):
-    from tasks import dexycb_standin
+    from tasks.dexycb import standin as dexycb_standin
 
     written = dexycb_standin._write_take
     made = []

@@ -13,9 +13,9 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from tasks.dexycb import JOINT_NAMES, YCB_NAMES, RecordingError, read_recording, read_vertices, sequences
-from tasks.dexycb_scene import FINGER_DIRECTION, SceneError, _upright_box, scene_of
-from tasks.dexycb_standin import SERIALS, hand_joints, thumb_joints, write_standin
+from tasks.dexycb.recording import JOINT_NAMES, YCB_NAMES, RecordingError, read_recording, read_vertices, sequences
+from tasks.dexycb.scene import FINGER_DIRECTION, SceneError, _upright_box, scene_of
+from tasks.dexycb.standin import SERIALS, hand_joints, thumb_joints, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import OBJECT_XY, TABLE_TOP
 

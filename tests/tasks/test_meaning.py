@@ -14,8 +14,8 @@ from robosuite.models.grippers import GRIPPER_MAPPING
 from robosuite.models.robots.robot_model import REGISTERED_ROBOTS
 
 from robots import ROBOTS
-from tasks.dexycb import RecordingError, read_recording, sequences
-from tasks.dexycb_standin import SERIALS, write_standin
+from tasks.dexycb.recording import RecordingError, read_recording, sequences
+from tasks.dexycb.standin import SERIALS, write_standin
 from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.runtime import Runtime
@@ -337,7 +337,7 @@ def test_a_left_hand_that_is_called_right(hands):
 
 
 def test_an_object_that_only_slides_shows_a_table_that_leans():
-    from tasks.dexycb import _against_the_table
+    from tasks.dexycb.recording import _against_the_table
 
     way = np.zeros((5, 1, 3))
     way[:, 0] = [(0.3, 0.2, 0.05), (0.35, 0.2, 0.05), (0.4, 0.2, 0.06), (0.5, 0.2, 0.06), (0.5, 0.2, 0.06)]

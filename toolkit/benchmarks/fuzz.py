@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from tasks.dexycb import RecordingError, read_recording, read_vertices, sequences
-from tasks.dexycb_standin import write_standin
+from tasks.dexycb.recording import RecordingError, read_recording, read_vertices, sequences
+from tasks.dexycb.standin import write_standin
 from toolkit.bundle.onnx_graph import onnx_from_bytes
 from toolkit.bundle.reading import GOLDEN, MANIFEST, MJCF, ONNX, SAFETENSORS, load_bundle, read_golden
 from toolkit.deploy.arm import State

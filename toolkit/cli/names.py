@@ -37,7 +37,8 @@ def broken_cards() -> list[str]:
     """A sentence for each card that does not load, those before which others cannot first."""
     from grippers.cards import BROKEN
 
-    return [f"a card in robots/ or grippers/ does not load: {why} ({module}); mend or remove it" for module, why in BROKEN.items()]
+    where = {module: "tasks/" if module.startswith("tasks/") else "robots/ or grippers/" for module in BROKEN}
+    return [f"a card in {where[module]} does not load: {why} ({module}); mend or remove it" for module, why in BROKEN.items()]
 
 
 def find_robot(name: str) -> "Robot":
@@ -54,7 +55,8 @@ def find_task(name: str) -> "PickTask":
     from tasks import TASKS
 
     if name not in TASKS:
-        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(TASKS)}")
+        more = "".join(f"; {broken}" for broken in broken_cards())
+        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(TASKS)}{more}")
     return TASKS[name]
 
 

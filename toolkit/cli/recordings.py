@@ -40,7 +40,7 @@ def make(
         seed: of everything random; the same seed writes the same bytes.
         json: print one JSON object.
     """
-    from tasks.dexycb_standin import write_standin
+    from tasks.dexycb.standin import write_standin
     from tasks.objects import OBJECTS
 
     with Progress("recordings", quiet=json) as progress:
@@ -71,7 +71,7 @@ def list_recordings(root: Annotated[Path, tyro.conf.Positional], frame_rate: flo
         frame_rate: [Hz]; DexYCB does not say it, 25 is its maintainer's ballpark.
         json: print one JSON object.
     """
-    from tasks.dexycb import RecordingError, read_recording, sequences
+    from tasks.dexycb.recording import RecordingError, read_recording, sequences
 
     try:
         names = sequences(root)

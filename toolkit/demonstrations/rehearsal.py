@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from robots.robot import Robot
-from tasks.dexycb import FRAME_RATE, Recording, RecordingError, grasped_object, read_recording, read_vertices, sequences
-from tasks.dexycb_scene import Scene, SceneError, scene_of
+from tasks.dexycb.recording import FRAME_RATE, Recording, RecordingError, grasped_object, read_recording, read_vertices, sequences
+from tasks.dexycb.scene import Scene, SceneError, scene_of
 from tasks.pick import PickTask
 from toolkit.demonstrations.retargeting import HandModel, HandMotion, retarget, track_of
 from toolkit.demonstrations.tracks import Track, TrackScript

@@ -18,8 +18,8 @@ from robosuite.models.grippers import gripper_factory
 
 from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
-from tasks.dexycb import FINGERS, JOINT_NAMES, Recording
-from tasks.dexycb_scene import Scene
+from tasks.dexycb.recording import FINGERS, JOINT_NAMES, Recording
+from tasks.dexycb.scene import Scene
 from tasks.objects import PickObject
 from tasks.pick import START_ROTATION
 from toolkit.demonstrations.tracks import Track

@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from tasks.dexycb import FINGERS, JOINT_NAMES
+from tasks.dexycb.recording import FINGERS, JOINT_NAMES
 from tasks.objects import PickObject
 from toolkit.inspection.appearance import body_mesh
 from toolkit.inspection.recording.layout import BACKGROUND, quiet_layout

@@ -1,4 +1,4 @@
-"""A stand-in for DexYCB: synthetic hands that pick YCB primitives, written in DexYCB's own format (tasks/dexycb.py).
+"""A stand-in for DexYCB: synthetic hands that pick YCB primitives, written in DexYCB's own format (tasks/dexycb/recording.py).
 
 For everyone without the data set, and for tests. Nothing in it was recorded: a hand of 21 joints with the proportions of
 Buchholz, Armstrong and Goldstein, "Anthropometric data for describing the kinematics of the human hand", Ergonomics 1992,
@@ -16,7 +16,7 @@ from tempfile import mkdtemp
 import numpy as np
 import yaml
 
-from tasks.dexycb import YCB_NAMES
+from tasks.dexycb.recording import YCB_NAMES
 from tasks.objects import OBJECTS, PickObject
 
 HAND_LENGTH = 0.19

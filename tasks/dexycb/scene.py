@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.dexycb import JOINT_NAMES, Recording
+from tasks.dexycb.recording import JOINT_NAMES, Recording
 from tasks.objects import OBJECTS, PickObject
 from tasks.pick import OBJECT_XY, START_ROTATION, TABLE_TOP, PickTask
 
