@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import json
+import pickle
 import warnings
 
 import numpy as np
@@ -538,3 +539,11 @@ def test_cloning_refuses_bad_demonstrations():
     ):
         with pytest.raises(ToolkitError, match=sentence):
             clone(policy, *arguments, CloningConfig(), rng)
+
+
+def test_a_policys_mean_may_be_sent_to_another_process():
+    policy, rng = make_policy(), np.random.default_rng(3)
+    sent = pickle.loads(pickle.dumps(MeanActor(policy)))  # noqa: S301 -- as multiprocessing does
+    for observation in rng.standard_normal((5, 5)):
+        assert np.array_equal(sent(observation, rng), policy.mean(observation))
+    assert rng.standard_normal() == [*np.random.default_rng(3).standard_normal(26)][-1], "it draws nothing"
