@@ -28,4 +28,4 @@ bundles:
 	@test -n "$(RUN)" || { echo "which run? make bundles RUN=logs/my-run" >&2; exit 2; }
 	folder=$$(mktemp -d) && trap 'rm -r "$$folder"' EXIT && for target in $(TARGETS); do \
 		$(PYTHON) -m toolkit.cli export "$(RUN)" --target $$target --out "$$folder/$$target" && \
-		$(PYTHON) -m toolkit.cli verify "$$folder/$$target.zip" || exit 1; done && cp "$$folder"/*.zip toolkit/bundles/
+		$(PYTHON) -m toolkit.cli verify "$$folder/$$target.zip" || exit 1; done && cp "$$folder"/*.zip toolkit/bundle/shipped/

@@ -1,16 +1,20 @@
-"""Tasks by name; loaded when they are asked for, so that the readers in this package need no robosuite."""
+"""Tasks by name, one file each; looked for when they are asked for, so that the readers in this package need no robosuite."""
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tasks.pick import TASKS, PickTask
+    from tasks.pick import PickTask
 
-__all__ = ["TASKS", "PickTask"]
+    TASKS: dict[str, PickTask]
+
+__all__ = ["TASKS"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name != "TASKS":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from tasks import pick
+    from grippers.cards import discover
+    from tasks.pick import PickTask
 
-    return getattr(pick, name)
+    found = globals()["TASKS"] = discover(__name__, PickTask)
+    return found

@@ -4,6 +4,7 @@ Constants and pure functions only. The same functions serve robosuite's environm
 rollouts; they use nothing but NumPy so that they can be compiled.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,7 @@ class PickTask:
         hold_steps: consecutive policy steps within the tolerance that make a success.
         horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
         control_frequency: policy rate [Hz].
+        title: name on the command line; None: the object's, with "-wide" for the wide start noise.
     """
 
     object: PickObject
@@ -54,11 +56,16 @@ class PickTask:
     hold_steps: int = 10
     horizon: int = 200
     control_frequency: float = 20.0
+    title: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.title is not None and not re.fullmatch(r"\w[\w-]*", self.title):
+            raise ValueError(f"task title {self.title!r} is no name for a folder; use letters, digits, '_' and '-'")
 
     @property
     def name(self) -> str:
-        """Name on the command line: the object's, with "-wide" for the wide start noise."""
-        return self.object.name + ("-wide" if self.noise_yaw > 0 else "")
+        """Name on the command line."""
+        return self.title or self.object.name + ("-wide" if self.noise_yaw > 0 else "")
 
     def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Start of an episode.

@@ -51,7 +51,7 @@ def merged(space, task):
 def native(task):
     """name -> the unmodified robosuite robot in its own environment; whoever uses it begins an episode of its own."""
     from robots import ROBOTS
-    from toolkit.evaluation import NativeRobot
+    from toolkit.simulation.native import NativeRobot
 
     loaded = {}
 
@@ -95,7 +95,7 @@ def engine(merged):
 def restless():
     """seed -> a random policy, restless enough to reach the clip."""
     from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE
-    from toolkit.expert import entry_names
+    from toolkit.expert.shelf import entry_names
     from toolkit.learning.policy import GaussianPolicy
 
     def make(seed):

@@ -77,7 +77,7 @@ def test_a_still_is_looked_at_and_not_only_taken(monkeypatch: pytest.MonkeyPatch
     from PIL import Image
 
     from toolkit.errors import ToolkitError
-    from toolkit.recording import viewer
+    from toolkit.inspection.recording import viewer
 
     monkeypatch.setattr(viewer, "still", lambda files, out, at, size: Image.new("RGB", doctor.STILL).save(out))
     check = doctor._still()

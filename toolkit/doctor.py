@@ -233,9 +233,9 @@ def _still() -> Check:
     from matplotlib.image import imread
 
     from toolkit.errors import ToolkitError
-    from toolkit.recording.layout import quiet_layout
-    from toolkit.recording.stream import FILM, Stream
-    from toolkit.recording.viewer import still
+    from toolkit.inspection.recording.layout import quiet_layout
+    from toolkit.inspection.recording.stream import FILM, Stream
+    from toolkit.inspection.recording.viewer import still
 
     name = "a still of the viewer"
     with tempfile.TemporaryDirectory() as folder:
@@ -259,8 +259,8 @@ def _still() -> Check:
 def _recording() -> Check:
     import rerun as rr
 
-    from toolkit.recording.stream import Stream
-    from toolkit.recording.viewer import chunks_of
+    from toolkit.inspection.recording.stream import Stream
+    from toolkit.inspection.recording.viewer import chunks_of
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "probe.rrd"

@@ -11,9 +11,10 @@ import numpy as np
 
 from grippers.gripper import COMMANDED_ROLES
 from tasks.pick import ACTION_SIZE, START_POSITION, START_ROTATION
-from toolkit.demonstrations import PickScript, pick_script
+from toolkit.demonstrations.scripts import PickScript, pick_script
 from toolkit.morphology.build import HAND_BIT, MergedRobot
 from toolkit.morphology.linkage import BOX_HALF_SIZE, SETTLED, closed_on_box
+from toolkit.runs.seeds import SCRIPT_SEEDS
 from toolkit.simulation.plant import Plant, merged_plant
 from toolkit.simulation.rollout import play
 
@@ -35,8 +36,6 @@ GRASPS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.008), (0.0, 0.0, -0.008), (0.0, 0.008, 0
 """Shifts [m] of the object in the scripted grasp: as scripted, deeper, shallower, and towards either side of the jaws."""
 LIFTS = (0.2, 0.8)
 """Closing progress from which it lifts: as scripted, and patiently, for fingers that come late."""
-SCRIPT_SEEDS = 8 * 10**6
-"""Scripts play starts from this seed on."""
 
 
 @dataclass(frozen=True)

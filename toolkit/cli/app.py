@@ -21,8 +21,8 @@ from toolkit.cli.terminal import outlets
 from toolkit.cli.training import expert, transfer
 from toolkit.cli.trees import tree
 from toolkit.errors import ToolkitError
+from toolkit.io.quoting import plain, told
 from toolkit.quiet import silence_robosuite
-from toolkit.quoting import plain, told
 
 COMMANDS = (robots, match, tree, audit, expert, transfer, evaluate, view, report, morph, replay, export, verify, stress, deploy, twin,
             doctor)  # fmt: skip

@@ -10,10 +10,10 @@ from toolkit.cli.help import helped
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.pipeline import Job
+    from toolkit.transfer.pipeline import Job
 
 bench = tyro.extras.SubcommandApp()
 
@@ -38,7 +38,7 @@ class Entry:
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
-        from toolkit.pipeline import Job, transfer_config
+        from toolkit.transfer.pipeline import Job, transfer_config
 
         overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
                      "learner": self.learner, "exploration": self.exploration}
@@ -149,7 +149,7 @@ def bench_transfer(
     failed = {}
     if play:
         failed = _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
-    from toolkit.results import finished_runs, results_json, write_results
+    from toolkit.benchmarks.results import finished_runs, results_json, write_results
 
     command = told("bench", "transfer", "--suite", suite)
     page = write_results(out, "Results on unmodified robosuite robots", command)
@@ -163,8 +163,9 @@ def bench_transfer(
 
 def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
     """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
-    from toolkit.expert import load_expert
-    from toolkit.pipeline import Pipeline
+    from toolkit.cli.training import record_run
+    from toolkit.expert.shelf import load_expert
+    from toolkit.transfer.pipeline import Pipeline
 
     for job in jobs.values():  # say what is missing before hours are spent
         load_expert(job.source.name, job.task.name, job.expert)
@@ -175,7 +176,7 @@ def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str
             continue
         with Progress(name, quiet) as progress:
             try:
-                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer)).play()
+                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer), record_run).play()
             except ToolkitError as error:
                 failed[name] = str(error)
     return failed
@@ -214,8 +215,8 @@ def bench_engine(
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
     room_for(page, (".md", ".markdown", ".txt"))
     systems = [find_robot(name) for name in (robots or ROBOTS)]
-    from toolkit.expert import load_expert
-    from toolkit.speed import measure_engine, performance_page
+    from toolkit.benchmarks.engine import measure_engine, performance_page
+    from toolkit.expert.shelf import load_expert
 
     policy, _ = load_expert(source, task)
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
@@ -287,8 +288,8 @@ def bench_walk(
         raise ToolkitError(f"steps is {steps} and episodes {episodes}; give at least one of each")
     room_for(plot)
     lab = make_lab(source, targets, task)
-    from toolkit.evaluation import walk
-    from toolkit.expert import load_expert
+    from toolkit.evaluation.walk import walk
+    from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
     policy, _ = load_expert(source, task, expert)
@@ -305,7 +306,7 @@ def bench_walk(
         table(f"{source}'s expert along the tree", ["from", "to", "share", "successes", "diverged"],
               [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])  # fmt: skip
     if plot is not None:
-        from toolkit.results import plot_walk
+        from toolkit.benchmarks.results import plot_walk
 
         plot_walk(found, plot)
 
@@ -330,7 +331,7 @@ def bench_tree(
         longer: also search so many times longer, and compare; 20 takes minutes.
         json: print one JSON object.
     """
-    from toolkit.evolution.timing import time_trees
+    from toolkit.benchmarks.trees import time_trees
     from toolkit.evolution.tree import MAX_TERMINALS
 
     if not terminals or min(terminals) < 2 or max(terminals) > MAX_TERMINALS:
@@ -380,8 +381,8 @@ def bench_metric(
     if robots < 3 or episodes < 1 or seed < 0:
         raise ToolkitError(f"robots is {robots}, episodes {episodes}, seed {seed}; give at least 3, 1 and 0")
     lab = make_lab(source, targets, task)
-    from toolkit.expert import load_expert
-    from toolkit.sensitivity import compare_metrics
+    from toolkit.benchmarks.metrics import compare_metrics
+    from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
     policy, _ = load_expert(source, task, expert)
@@ -416,7 +417,7 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
 
     import numpy as np
 
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.runtime import time_ticks
 
@@ -458,8 +459,8 @@ def bench_fuzz(
         seed: of the damage.
         json: print one JSON object.
     """
-    from toolkit.bundle import find_bundle
-    from toolkit.fuzz import FORMATS, fuzz
+    from toolkit.benchmarks.fuzz import FORMATS, fuzz
+    from toolkit.bundle.reading import find_bundle
 
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or files < 1 or seed < 0:
@@ -496,7 +497,7 @@ def bench_faults(
         only: faults whose name or layer (state, stamp, start, order, process, line, disk) holds this text.
         json: print one JSON object.
     """
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
     from toolkit.cli.deployment import start_twin
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.drivers.sim import SimDriver

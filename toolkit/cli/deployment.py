@@ -12,14 +12,14 @@ from toolkit.cli.judging import check_signer
 from toolkit.cli.names import find_robot, find_task, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     import subprocess
 
-    from toolkit.bundle import Bundle
+    from toolkit.bundle.manifest import Held, Lineage, Success
+    from toolkit.bundle.reading import Bundle
     from toolkit.deploy.drivers.sim import SimDriver
-    from toolkit.manifest import Held, Lineage, Success
 
 FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
@@ -45,7 +45,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
         json: print the manifest.
     """
     content, policies, _ = trained_policies(run, target)
-    from toolkit.packing import write_bundle
+    from toolkit.export.packing import write_bundle
 
     robot, task = find_robot(target), find_task(content["task"])
     holds = _holds(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
@@ -104,7 +104,7 @@ def deploy(
         raise ToolkitError(f"ticks is {ticks}; give at least one")
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
     from toolkit.deploy.drivers.sim import SimDriver
 
     loaded = load_bundle(bundle)
@@ -124,7 +124,7 @@ def deploy(
     try:
         if dry_run:
             from toolkit.cli.listening import ListenedTwin, dry
-            from toolkit.deploy.runtime import EVALUATION_SEEDS
+            from toolkit.runs.seeds import EVALUATION_SEEDS
 
             dry(loaded, driver, ListenedTwin(arm, EVALUATION_SEEDS + seed * 10**6), arm.leave, form, ticks, json)
             return
@@ -144,7 +144,8 @@ def _deploy(
     """Play the episodes; returns what ``deploy --json`` prints, but for the driver's name."""
     import numpy as np
 
-    from toolkit.deploy.runtime import EVALUATION_SEEDS, Runtime, TickLog, play, wilson_interval
+    from toolkit.deploy.runtime import Runtime, TickLog, play, wilson_interval
+    from toolkit.runs.seeds import EVALUATION_SEEDS
 
     manifest = bundle.manifest
     info = arm.connect()
@@ -237,13 +238,13 @@ def twin(
     import secrets
     import socket
 
-    from toolkit.bundle import load_bundle
+    from toolkit.bundle.reading import load_bundle
 
     if not 0 <= port < 2**16:
         raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
     manifest = load_bundle(bundle).manifest
     robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
-    from toolkit.twin import Twin, serve
+    from toolkit.export.twin import Twin, serve
 
     try:
         listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
@@ -274,8 +275,8 @@ def _holds(folder: Path, policy: Path, target: str, task: str) -> "tuple[Held, .
     """The ranges that a stress test found, refused if it was another policy's, robot's or task's."""
     import hashlib
 
-    from toolkit.jsonfiles import read_object
-    from toolkit.manifest import Held
+    from toolkit.bundle.manifest import Held
+    from toolkit.io.jsonfiles import read_object
 
     file = folder / "result.json"
     content = read_object(file, "give the folder of a finished stress --out")
@@ -295,8 +296,8 @@ def _holds(folder: Path, policy: Path, target: str, task: str) -> "tuple[Held, .
 
 
 def _lineage(run: Path, target: str) -> "Lineage":
-    from toolkit.manifest import Lineage
-    from toolkit.runs import read_nodes, read_success
+    from toolkit.bundle.manifest import Lineage
+    from toolkit.runs.run import read_nodes, read_success
 
     tree, report = read_nodes(run), read_success(run)
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
@@ -313,14 +314,14 @@ def _lineage(run: Path, target: str) -> "Lineage":
 
 def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
     """Success as the run's report has it, or measured now."""
-    from toolkit.manifest import Success
-    from toolkit.runs import read_success
+    from toolkit.bundle.manifest import Success
+    from toolkit.runs.run import read_success
 
     report = read_success(run)
     found = report.get("targets", {}).get(target, {}).get("native")
     measured = "by the run that trained it, through robosuite's own step"
     if found is None:
-        from toolkit.evaluation import evaluate_native
+        from toolkit.evaluation.success import evaluate_native
 
         counter = progress.count(f"{target}, unmodified", LABEL_EPISODES)
         found = evaluate_native(policy, robot, task, LABEL_EPISODES, progress=counter).to_json()

@@ -11,13 +11,13 @@ import tyro
 from toolkit.cli.names import TARGETS, TASK, find_robot, find_task, make_lab, transfer_config
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     import subprocess
 
-    from toolkit.recording.layout import Layout
-    from toolkit.recording.shows import Known
+    from toolkit.inspection.recording.layout import Layout
+    from toolkit.inspection.recording.shows import Known
 
 STILLS, VIDEOS = (".png",), (".mp4", ".gif")
 """What the viewer saves, and what films are written as."""
@@ -61,7 +61,7 @@ def view(
     if live:
         _follow(path[0])
         return
-    from toolkit.recording import shows, stream, viewer
+    from toolkit.inspection.recording import shows, stream, viewer
 
     room_for(still, STILLS)
     if video is not None:
@@ -95,7 +95,7 @@ def _film(run: Path, video: Path, progress: Progress | None = None) -> float:
     """A run as a film; its length [s]."""
     room_for(video, VIDEOS)
     known = known_run(run)
-    from toolkit.report.video import write_video
+    from toolkit.inspection.report.video import write_video
 
     with Progress("video", quiet=False) if progress is None else nullcontext(progress) as line:
         return write_video(run, known.merged, known.tree(), known.policy, known.native, video, lambda what: line.show("video", what))
@@ -103,7 +103,7 @@ def _film(run: Path, video: Path, progress: Progress | None = None) -> float:
 
 def _last(file: Path, at: float | None) -> float | None:
     """``at``, or the last moment of a recording: where a picture is the same each time. None if it has no film."""
-    from toolkit.recording import excerpt
+    from toolkit.inspection.recording import excerpt
 
     return excerpt.moment_of(file, at, "morph") or None
 
@@ -116,13 +116,13 @@ def _folder(path: Path) -> Path:
 def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
     """A run folder or recording to be looked at; made first where that is asked for, or the only way."""
     if path.suffix == ".jsonl":
-        from toolkit.recording.deployment import record_deployment
+        from toolkit.inspection.recording.deployment import record_deployment
 
         return record_deployment(path)
     if not rebuild:
         return path
-    from toolkit import claims
-    from toolkit.recording import shows
+    from toolkit.inspection.recording import shows
+    from toolkit.io import claims
 
     file = out or path / "recording.rrd"
     known = known_run(path)
@@ -137,7 +137,7 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
 
 def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: Path | None) -> "tuple[Path, Layout]":
     """A recording of policies side by side, and its layout."""
-    from toolkit.recording import shows
+    from toolkit.inspection.recording import shows
 
     sides = _sides(paths, targets)
     file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
@@ -149,7 +149,7 @@ def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: 
 
 def _freeze(file: Path, page: str, at: float | None, layout: "Layout", still: Path | None, size: str, out: Path | None) -> None:
     """One page at one moment, as a recording of its own, as a picture, or both."""
-    from toolkit.recording import excerpt, viewer
+    from toolkit.inspection.recording import excerpt, viewer
 
     moment = excerpt.moment_of(file, at, page)
     with TemporaryDirectory() as folder:
@@ -162,7 +162,7 @@ def _freeze(file: Path, page: str, at: float | None, layout: "Layout", still: Pa
 
 def _open(*files: Path) -> None:
     """In a window, or served to a browser until Ctrl-C."""
-    from toolkit.recording import viewer
+    from toolkit.inspection.recording import viewer
 
     if viewer.has_display():
         viewer.open_window(*files)
@@ -176,7 +176,7 @@ def _serve(*files: Path) -> "tuple[subprocess.Popen, str, str]":
     """As viewer.serve; a plain kill of this process is then as Ctrl-C, so that the server does not outlive it."""
     import signal
 
-    from toolkit.recording import viewer
+    from toolkit.inspection.recording import viewer
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     return viewer.serve(*files)
@@ -196,7 +196,7 @@ def _begun(folder: Path) -> "Known":
     """A run as soon as its transfer has its tree."""
     import time
 
-    from toolkit.recording.shows import POLL
+    from toolkit.inspection.recording.shows import POLL
 
     waits = lambda: not (folder / "tree.json").exists() and not (folder / "report.json").exists()  # noqa: E731
     if waits():
@@ -208,7 +208,7 @@ def _begun(folder: Path) -> "Known":
 
 
 def _follow_running(known: "Known") -> None:
-    from toolkit.recording import shows, viewer
+    from toolkit.inspection.recording import shows, viewer
 
     if viewer.has_display():
         process, proxy = viewer.follow_window()
@@ -254,9 +254,9 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
 def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     """A run folder with everything needed to play it again."""
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, entry_names, load_expert
+    from toolkit.expert.shelf import POLICY_FILE, entry_names, load_expert
+    from toolkit.inspection.recording.shows import Known
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.recording.shows import Known
     from toolkit.simulation.plant import native_plant
 
     content = transfer_config(folder)
@@ -286,7 +286,7 @@ def morph(
     """
     room_for(still, STILLS)
     lab = make_lab(source, targets, task)
-    from toolkit.recording import shows, viewer
+    from toolkit.inspection.recording import shows, viewer
 
     shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
@@ -310,7 +310,7 @@ def report(
     """
     room_for(video, VIDEOS)
     known = known_run(run)
-    from toolkit.report.page import write_report
+    from toolkit.inspection.report.page import write_report
 
     with Progress("report", quiet=json) as progress:
         page = write_report(run, known.merged, known.tree(), out, lambda what: progress.show("report", what, now=True))

@@ -10,8 +10,8 @@ from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from toolkit.bundle import Bundle
-    from toolkit.evaluation import Evaluation
+    from toolkit.bundle.reading import Bundle
+    from toolkit.evaluation.success import Evaluation
 
 
 WHERE = {"native": "unmodified robot", "native-compiled": "unmodified robot, compiled step", "merged": "F(beta)"}
@@ -42,7 +42,7 @@ def evaluate(
     """
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.evaluation import evaluate_merged, evaluate_native
+    from toolkit.evaluation.success import evaluate_merged, evaluate_native
     from toolkit.simulation.rollout import RolloutEngine
 
     if is_bundle(run):
@@ -75,7 +75,7 @@ def is_bundle(name: str) -> bool:
     path = Path(name)
     if path.exists():
         return (path / "manifest.json").is_file() or path.suffix == ".zip"
-    from toolkit.bundle import shipped_bundles
+    from toolkit.bundle.reading import shipped_bundles
 
     return name in shipped_bundles() or path.suffix == ".zip"
 
@@ -91,7 +91,7 @@ def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, se
         signed_by: OpenSSH public key; a bundle that its holder has not signed is refused.
         json: print one JSON object.
     """
-    from toolkit.bundle import check_bundle, load_bundle
+    from toolkit.bundle.reading import check_bundle, load_bundle
     from toolkit.deploy.runtime import replay_golden
 
     loaded = load_bundle(bundle)
@@ -130,8 +130,8 @@ def _errors(checked: dict[str, Any]) -> str:
 
 def check_signer(bundle: "Bundle", key: Path) -> None:
     """Refuse a bundle that the holder of an OpenSSH public key has not signed."""
-    from toolkit.bundle import MANIFEST, SIGNATURE
-    from toolkit.signing import check_signature
+    from toolkit.bundle.reading import MANIFEST, SIGNATURE
+    from toolkit.bundle.signing import check_signature
 
     check_signature(bundle.files[MANIFEST], bundle.files.get(SIGNATURE), key, f"bundle {bundle.path}")
 
@@ -147,13 +147,13 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
     """Success of a bundle's ONNX graph alone on the unmodified robosuite robot."""
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.bundle import find_bundle, load_bundle
+    from toolkit.bundle.reading import find_bundle, load_bundle
 
     path = find_bundle(name)
     manifest = load_bundle(path).manifest
     robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
-    from toolkit.evaluation import evaluate_native
-    from toolkit.packing import check_records
+    from toolkit.evaluation.success import evaluate_native
+    from toolkit.export.packing import check_records
 
     check_records(manifest, path)
     with Progress("evaluate", quiet) as progress:

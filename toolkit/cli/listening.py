@@ -10,7 +10,7 @@ from toolkit.cli.terminal import emit
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from toolkit.bundle import Bundle
+    from toolkit.bundle.reading import Bundle
     from toolkit.deploy.arm import ArmInfo
     from toolkit.deploy.drivers.sim import SimDriver
     from toolkit.deploy.dry import Listener, Seen

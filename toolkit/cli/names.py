@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import require
+from toolkit.io.jsonfiles import require
 
 if TYPE_CHECKING:
     from robots.robot import Robot
     from tasks.pick import PickTask
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
 Kind = Literal["steiner", "geometric-median", "independent"]
 Method = Kind | Literal["asking", "direct"]
@@ -37,7 +37,8 @@ def broken_cards() -> list[str]:
     """A sentence for each card that does not load, those before which others cannot first."""
     from grippers.cards import BROKEN
 
-    return [f"a card in robots/ or grippers/ does not load: {why} ({module}); mend or remove it" for module, why in BROKEN.items()]
+    where = {module: "tasks/" if module.startswith("tasks/") else "robots/ or grippers/" for module in BROKEN}
+    return [f"a card in {where[module]} does not load: {why} ({module}); mend or remove it" for module, why in BROKEN.items()]
 
 
 def find_robot(name: str) -> "Robot":
@@ -54,21 +55,22 @@ def find_task(name: str) -> "PickTask":
     from tasks import TASKS
 
     if name not in TASKS:
-        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(TASKS)}")
+        more = "".join(f"; {broken}" for broken in broken_cards())
+        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(TASKS)}{more}")
     return TASKS[name]
 
 
 def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":
     """Source, targets and task by their names, merged on first use."""
     systems = [find_robot(name) for name in (source, *targets)]
-    from toolkit.pipeline import Lab
+    from toolkit.morphology.lab import Lab
 
     return Lab(systems[0], systems[1:], find_task(task))
 
 
 def transfer_config(folder: Path) -> dict:
     """Config of a transfer's run folder; it names its source, targets and task."""
-    from toolkit.runs import Run
+    from toolkit.runs.run import Run
 
     content = Run.open(folder).config
     missing = [key for key in ("source", "targets", "task") if key not in content]
@@ -88,9 +90,9 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
         ToolkitError: there is none.
     """
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, entry_names
+    from toolkit.expert.shelf import POLICY_FILE, entry_names
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.runs import continuing
+    from toolkit.runs.run import continuing
 
     content = transfer_config(folder)
     found = {}
@@ -115,9 +117,9 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
 def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"], list[str]] | None:
     """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
     from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
+    from toolkit.expert.shelf import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.runs import Run
+    from toolkit.runs.run import Run
 
     if run in shipped_experts():
         source, task = shipped_pair(run)

@@ -10,10 +10,10 @@ from toolkit.cli.help import helped
 from toolkit.cli.names import find_robot
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.recordings import Demonstration, Studio
+    from toolkit.demonstrations.rehearsal import Demonstration, Studio
 
 recordings = tyro.extras.SubcommandApp()
 
@@ -40,7 +40,7 @@ def make(
         seed: of everything random; the same seed writes the same bytes.
         json: print one JSON object.
     """
-    from tasks.dexycb_standin import write_standin
+    from tasks.dexycb.standin import write_standin
     from tasks.objects import OBJECTS
 
     with Progress("recordings", quiet=json) as progress:
@@ -71,7 +71,7 @@ def list_recordings(root: Annotated[Path, tyro.conf.Positional], frame_rate: flo
         frame_rate: [Hz]; DexYCB does not say it, 25 is its maintainer's ballpark.
         json: print one JSON object.
     """
-    from tasks.dexycb import RecordingError, read_recording, sequences
+    from tasks.dexycb.recording import RecordingError, read_recording, sequences
 
     try:
         names = sequences(root)
@@ -126,7 +126,7 @@ def retarget_recordings(
         json: print one JSON object.
     """
     robot = find_robot(source)
-    from toolkit.recordings import Broken, Dropped, Studio
+    from toolkit.demonstrations.rehearsal import Broken, Dropped, Studio
 
     studio = Studio(root, robot, frame_rate)
     unknown = [name for name in only if name not in studio.names]
@@ -189,7 +189,7 @@ def _ranges(frames: Sequence[int]) -> str:
 
 def _film(studio: "Studio", shown: Sequence["Demonstration"], path: Path) -> None:
     """Write recordings, retargeted hands and replays side by side."""
-    from toolkit.recording.hands import Clip, record_clips
+    from toolkit.inspection.recording.hands import Clip, record_clips
 
     clips = []
     for d in shown:

@@ -14,8 +14,8 @@ from toolkit.errors import ToolkitError
 if TYPE_CHECKING:
     from robots.robot import Robot
     from tasks.pick import PickTask
+    from toolkit.evaluation.stress import Tried
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.stress import Tried
 
 
 def stress(
@@ -53,9 +53,9 @@ def stress(
     played, robot, task, who = _policy(policy, target)
     import json as js
 
-    from toolkit.runs import write_atomically
-    from toolkit.stress import CONDITIONS, Ledger, pair_trials, ranges_of, single_trials
-    from toolkit.stress import stress as play
+    from toolkit.evaluation.stress import CONDITIONS, Ledger, pair_trials, ranges_of, single_trials
+    from toolkit.evaluation.stress import stress as play
+    from toolkit.io.atomic import write_atomically
 
     names = tuple(conditions) or tuple(CONDITIONS)
     single = single_trials(names)
@@ -78,7 +78,7 @@ def stress(
     if out:
         write_atomically(out / "result.json", (js.dumps(content, indent=1) + "\n").encode())
     if plot:
-        from toolkit.report.stress import stress_figure
+        from toolkit.inspection.report.stress import stress_figure
 
         stress_figure(robot.name, alone, plot)
     if json:
@@ -90,7 +90,7 @@ def stress(
 def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Robot", "PickTask", dict[str, Any]]:
     """What plays on which robot in which task, and the same for the ledger."""
     if is_bundle(name):
-        from toolkit.bundle import find_bundle, load_bundle
+        from toolkit.bundle.reading import find_bundle, load_bundle
 
         if target is not None:
             raise ToolkitError(f"{name} is a bundle, whose robot is written in it; leave --target {target} out")
@@ -129,7 +129,7 @@ def _row(tried: "Tried") -> dict[str, Any]:
 
 
 def _tables(robot: str, alone: list["Tried"], together: list["Tried"], ranges: dict[str, tuple[float, float]]) -> None:
-    from toolkit.stress import CONDITIONS, told_of
+    from toolkit.evaluation.stress import CONDITIONS, told_of
 
     nominal = next(tried for tried in alone if not tried.conditions)
     rows = []

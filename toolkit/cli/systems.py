@@ -10,8 +10,8 @@ from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from robots.robot import Robot
+    from toolkit.morphology.lab import Lab
     from toolkit.morphology.matching import Matching
-    from toolkit.pipeline import Lab
 
 
 def robots(check: str | None = None, json: bool = False) -> None:
@@ -87,7 +87,8 @@ def match(
     targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
     with Progress("match", quiet=json) as progress:
         lab = make_lab(source, targets, TASK)
-        from toolkit.morphology.parity import become_milliseconds, parity, plot_merged_tree
+        from toolkit.benchmarks.parity import become_milliseconds, parity
+        from toolkit.inspection.merged_tree import plot_merged_tree
         from toolkit.morphology.quantities import QUANTITIES
 
         figures = []
@@ -146,8 +147,8 @@ def _show_match(matching: "Matching", found: dict) -> None:
 
 def _survival(lab: "Lab", episodes: int) -> list[dict]:
     """The source's expert on F(beta) of the source and on the source robot itself under the compiled step, same seeds."""
-    from toolkit.evaluation import evaluate_compiled, evaluate_merged
-    from toolkit.expert import load_expert
+    from toolkit.evaluation.success import evaluate_compiled, evaluate_merged
+    from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
     policy, _ = load_expert(lab.source.name, TASK)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from toolkit.errors import ToolkitError
-from toolkit.quoting import plain
+from toolkit.io.quoting import plain
 
 PICTURES = (".png", ".svg", ".pdf", ".eps", ".ps", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 """Endings of pictures that matplotlib writes without anything else installed."""

@@ -3,12 +3,15 @@
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, document, emit
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
+
+if TYPE_CHECKING:
+    from toolkit.inspection.recording.story import Story
 
 
 def expert(
@@ -51,10 +54,11 @@ def expert(
         raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
                            "least one episode and one demonstration, updates and seed from 0 on")  # fmt: skip
     robot, what = find_robot(source), find_task(task)
-    from toolkit.evaluation import evaluate_compiled, evaluate_native
-    from toolkit.expert import POLICY_FILE, RECORDED, SHIPPED, ExpertConfig, narrow_task, save_expert, train_expert
-    from toolkit.recordings import Studio, teachers_for
-    from toolkit.runs import Run
+    from toolkit.demonstrations.rehearsal import Studio, teachers_for
+    from toolkit.evaluation.success import evaluate_compiled, evaluate_native
+    from toolkit.expert.shelf import POLICY_FILE, RECORDED, SHIPPED, narrow_task, save_expert
+    from toolkit.expert.training import ExpertConfig, train_expert
+    from toolkit.runs.run import Run
     from toolkit.simulation.rollout import RolloutEngine
 
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)
@@ -108,6 +112,13 @@ def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Seque
         if name not in leave_out and value != parameter.default:
             words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
     return words
+
+
+def record_run(*run: Any) -> "Story":
+    """The recording of a run while it goes on, as ``Pipeline`` begins it; an installation without the viewer has none, and says so."""
+    from toolkit.inspection.recording.story import begin_story
+
+    return begin_story(*run)
 
 
 def transfer(
@@ -166,8 +177,8 @@ def transfer(
     said = _said(transfer, locals(), leave_out=("run", "resume", "json"))
     robot, what = find_robot(source), find_task(task)
     goals = None if targets is None else tuple(find_robot(name) for name in targets)
-    from toolkit.expert import taught_by_hands
-    from toolkit.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
+    from toolkit.expert.shelf import taught_by_hands
+    from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
     config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
                              exploration=exploration)  # fmt: skip
@@ -180,7 +191,7 @@ def transfer(
         goals = tuple(find_robot(name) for name in PRESETS[preset].get("targets", TARGETS))
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task))
     with Progress("transfer", quiet=json) as progress:
-        pipeline = Pipeline(job, folder, resume, progress.transfer(config))
+        pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run)
         pipeline.run.write_json("command", {"words": ["transfer", *said]})
         report = pipeline.play()
     if json:

@@ -48,8 +48,8 @@ def tree(
         start, goals = load_points(points)
     else:
         systems = [find_robot(name) for name in (source, *targets)]
-        from toolkit.pipeline import check_roles
-        from toolkit.survey import as_points, compare_arms
+        from toolkit.morphology.lab import check_roles
+        from toolkit.morphology.survey import as_points, compare_arms
 
         check_roles(systems[0], systems[1:])
         start, *goals = as_points(systems)
@@ -57,7 +57,7 @@ def tree(
             more["arms"] = [asdict(cost) for cost in compare_arms(systems[0], systems[1:], metric)]
     found = evolution_tree(start, goals, metric, kind, effort)
     if growth:
-        from toolkit.survey import growth as grown
+        from toolkit.morphology.survey import growth as grown
 
         more["growth"] = [asdict(cost) for cost in grown(start, goals, metric)]
     if json:

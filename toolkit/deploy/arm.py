@@ -5,8 +5,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.errors import ToolkitError
-from toolkit.manifest import Manifest
 
 Form = Literal["osc", "pose", "joint"]
 FORMS: tuple[Form, ...] = ("osc", "pose", "joint")

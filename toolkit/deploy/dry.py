@@ -12,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.runtime import Runtime
 from toolkit.deploy.safety import Fault
 from toolkit.errors import ToolkitError
-from toolkit.manifest import Manifest
 
 
 class Listener(Protocol):

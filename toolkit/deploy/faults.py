@@ -20,13 +20,14 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from toolkit.bundle import Bundle
+from toolkit.bundle.reading import Bundle
 from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
 from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.kinematics import Kinematics
-from toolkit.deploy.runtime import EVALUATION_SEEDS, Outcome, Pace, Runtime, TickLog, play
+from toolkit.deploy.runtime import Outcome, Pace, Runtime, TickLog, play
 from toolkit.errors import ToolkitError
+from toolkit.runs.seeds import EVALUATION_SEEDS
 
 Must = Literal["stop", "pass", "play", "refuse"]
 """stop: held, then stopped with a reason.  pass: held, and played on.  play: borne, whether or not the policy

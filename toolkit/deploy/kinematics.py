@@ -6,8 +6,8 @@ import mink
 import mujoco
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.errors import ToolkitError
-from toolkit.manifest import Manifest
 
 POSTURE_COST = 0.02
 """Weight of the start posture beside the grasp frame's pose: it settles the redundant joint, as robosuite's null space does."""

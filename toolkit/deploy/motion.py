@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import Command, Form
 from toolkit.deploy.kinematics import JointSolver, Kinematics, matrix_of, quaternion_of, quaternions_of, rotation_of, sandwich, vector_of
-from toolkit.manifest import Manifest
 
 CATCH_UP = 0.5
 """Share of the distance between wanted and commanded place that one tick makes up; 1 would ring."""

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.deploy.kinematics import Kinematics, matrix_of
 from toolkit.errors import ToolkitError
-from toolkit.manifest import Manifest
 
 TURN = 2 * np.pi
 

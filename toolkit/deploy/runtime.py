@@ -14,22 +14,18 @@ from typing import Any, Literal, TextIO
 
 import numpy as np
 
-from toolkit.bundle import Bundle
-from toolkit.claims import open_claimed
+from toolkit.bundle.reading import Bundle
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import JointSolver, Kinematics
 from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
 from toolkit.deploy.observer import Observer
 from toolkit.deploy.safety import OVERDUE, Fault, Guard
 from toolkit.errors import ToolkitError
+from toolkit.io.claims import open_claimed
 
 Pace = Literal["real", "lockstep"]
 STAGES = ("read", "observe", "policy", "command", "send")
 """Parts of a tick that the log times [ms]; the runtime's own are all but read and send, which wait for the arm."""
-
-
-EVALUATION_SEEDS = 10**9
-"""First seed of the episodes of evaluate and verify, which the twin plays again."""
 
 
 def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:

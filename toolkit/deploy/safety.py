@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import Command, State
 from toolkit.deploy.kinematics import vector_of
 from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
 from toolkit.deploy.motion import Motion
 from toolkit.deploy.observer import Observer
-from toolkit.manifest import Manifest
 
 COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 PASSING = ("stale_state", "late_ticks", "frozen_state", "object_frozen")

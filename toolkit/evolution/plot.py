@@ -8,7 +8,7 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.evolution.tree import EvolutionTree
-from toolkit.quoting import letters
+from toolkit.io.quoting import letters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.evolution.tree import Terminal, check_terminals, checked_vector
-from toolkit.jsonfiles import content_of, parsed
+from toolkit.io.jsonfiles import content_of, parsed
 
 
 def load_points(path: str | Path) -> tuple[Terminal, tuple[Terminal, ...]]:

@@ -132,9 +132,7 @@ class EvolutionTree:
 
     def next_meta(self, arrived: float = ARRIVED) -> MetaStep:
         """The first step on this tree, with its source as the current robot: see `next_meta_robot`."""
-        children: dict[int, list[int]] = {index: [] for index in range(len(self.nodes))}
-        for edge in self.edges:
-            children[edge.start].append(edge.end)
+        children = self._children()
         here = self.nodes[0]
         reached: set[str] = set()
         neighbours, queue = [], list(children[0])
@@ -149,6 +147,17 @@ class EvolutionTree:
         parts = tuple(self._targets_below(index, children) - reached for index in neighbours)
         meta = self.nodes[neighbours[0]] if len(neighbours) == 1 else here
         return MetaStep(meta.name, meta.alpha, tuple(part for part in parts if part), frozenset(reached))
+
+    def below(self) -> dict[str, frozenset[str]]:
+        """Name of each node -> the targets at it or behind it."""
+        children = self._children()
+        return {node.name: self._targets_below(index, children) for index, node in enumerate(self.nodes)}
+
+    def _children(self) -> dict[int, list[int]]:
+        children: dict[int, list[int]] = {index: [] for index in range(len(self.nodes))}
+        for edge in self.edges:
+            children[edge.start].append(edge.end)
+        return children
 
     def _targets_below(self, index: int, children: Mapping[int, Sequence[int]]) -> frozenset[str]:
         own = {self.nodes[index].name} if self.nodes[index].kind == "target" else set()

@@ -8,8 +8,8 @@ observation shift and scale) travels with them into one safetensors file.
 import contextlib
 import json
 import math
-import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -19,7 +19,8 @@ import safetensors.numpy
 import torch
 
 from toolkit.errors import ToolkitError
-from toolkit.tensors import read_tensors
+from toolkit.io.atomic import write_atomically
+from toolkit.io.tensors import read_tensors
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations are cut to +-10: no entry can drown the others when a robot leaves the known range."""
@@ -199,15 +200,9 @@ class _Network:
         path = Path(path)
         # One metadata key only: safetensors does not promise their order, and equal policies should be equal files.
         metadata = {"meta_evolve": json.dumps(self._header(), sort_keys=True)}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
-            with temporary.open("wb") as file:
-                file.write(safetensors.numpy.save(self._arrays(), metadata))
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
+            write_atomically(path, safetensors.numpy.save(self._arrays(), metadata))
         except OSError as error:
-            temporary.unlink(missing_ok=True)
             raise ToolkitError(f"{path} cannot be written ({error.strerror}); choose a writable place.") from error
 
     @classmethod
@@ -349,6 +344,21 @@ class GaussianPolicy(_Network):
     def _blank(cls, header: dict[str, Any]) -> Self:
         rng = np.random.default_rng(0)
         return cls(header["observation_names"], header["action_names"], rng, header["hidden"])
+
+
+@dataclass(frozen=True)
+class MeanActor:
+    """A policy that plays its most likely action and draws nothing; may be sent to another process.
+
+    Attributes:
+        policy: whose mean it plays.
+    """
+
+    policy: GaussianPolicy
+
+    def __call__(self, observation: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Action (n_act,) for an observation (n_obs,)."""
+        return self.policy.mean(observation)
 
 
 class ValueFunction(_Network):

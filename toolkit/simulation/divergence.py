@@ -13,7 +13,7 @@ import numpy as np
 
 from tasks.npz import ArrayError, Arrays
 from toolkit.errors import ToolkitError
-from toolkit.jsonfiles import parsed_object, require
+from toolkit.io.jsonfiles import parsed_object, require
 from toolkit.simulation.osc import STATE
 from toolkit.simulation.plant import SPEED_LIMIT, WATCHED_WARNINGS, Plant
 

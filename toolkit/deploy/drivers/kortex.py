@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from toolkit.bundle.makers import JOINT_SPEEDS
 from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
 from toolkit.deploy.drivers.stamps import Changes
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
-from toolkit.makers import JOINT_SPEEDS
 
 RATE = 40.0
 """[Hz] of Kinova's high-level commands."""

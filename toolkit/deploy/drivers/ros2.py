@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
 from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.drivers.ur import Grip, Scene
 from toolkit.deploy.kinematics import matrix_of, quaternion_of
 from toolkit.errors import ToolkitError
-from toolkit.manifest import Manifest
 
 RATE = 100.0
 """[Hz] of the waypoints in a trajectory."""

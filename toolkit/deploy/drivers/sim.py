@@ -9,7 +9,7 @@ import numpy as np
 from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, State
 from toolkit.errors import ToolkitError
-from toolkit.quoting import told
+from toolkit.io.quoting import told
 
 PATIENCE = 20.0
 """[s] for a single answer; a busy machine compiles or loads a model meanwhile."""

@@ -1,0 +1,318 @@
+"""Readers: whatever a file holds, the one reader of its format reads it or refuses it by one sentence.
+
+`meta-evolve bench fuzz` damages two thousand files of each format in processes of their own; here a few dozen, and those that
+once ended in something else.
+"""
+
+import hashlib
+import io
+import json
+import struct
+import subprocess
+import sys
+import zipfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tasks.npz import ArrayError, Arrays
+from toolkit import cli
+from toolkit.benchmarks.fuzz import FORMATS, fuzz, outcome_of
+from toolkit.bundle.onnx_graph import METADATA_KEY, onnx_from_bytes
+from toolkit.bundle.reading import SHIPPED, load_bundle
+from toolkit.cli import main
+from toolkit.errors import ToolkitError
+from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
+from toolkit.io.tensors import read_tensors
+from toolkit.runs.phases import Phase, Take, load_phase
+from toolkit.runs.run import Run, read_report, read_tree, transfer_records
+
+BUNDLE = SHIPPED / "kinova3.zip"
+FILES = 40
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files_are_read_or_refused(name, tmp_path):
+    sample = FORMATS[name](tmp_path, BUNDLE)
+    sample.read(sample.file)
+    sound, found = sample.file.read_bytes(), Counter()
+    for number in range(FILES):
+        outcome, said, seconds = outcome_of(sample, sound, np.random.default_rng((7, number)))
+        assert outcome in ("refused", "read"), f"file {number} of seed 7: {outcome}: {said}"
+        assert seconds < 10.0 and (outcome == "read" or 20 < len(said) < 1000), f"file {number} of seed 7: {said}"
+        found[outcome] += 1
+    assert found["refused"] > FILES / 4, f"{name}: the damage harms nothing: {found}"
+
+
+def test_the_fuzzer_finds_readers_that_break(tmp_path, monkeypatch):
+    """One that raises something else, and one that ends its process, are told from each other and from the next file."""
+    from toolkit.benchmarks import fuzz as module
+
+    code = (
+        "import os\nfrom toolkit.benchmarks import fuzz\nfrom toolkit.errors import ToolkitError\n"
+        "def read(file):\n"
+        "    data = file.read_bytes()\n"
+        "    if data == b'sound': return\n"
+        "    if len(data) % 3 == 0: os._exit(7)\n"
+        "    if len(data) % 3 == 1: raise KeyError('x')\n"
+        "    raise ToolkitError('no')\n"
+        "def make(folder, bundle):\n"
+        "    (folder / 'f').write_bytes(b'sound')\n"
+        "    return fuzz.Sample(folder / 'f', (fuzz.rot,), read)\n"
+        "fuzz.FORMATS['odd'] = make\n"
+        "def work(*arguments): fuzz.work(*arguments)\n"
+    )
+    (tmp_path / "oddfuzz.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(module, "__name__", "oddfuzz")
+    (tally,) = fuzz(("odd",), 12, 0, BUNDLE)
+    assert tally.files == 12 == tally.refused + tally.read + tally.broken.total()
+    assert tally.broken["died"] and tally.broken["KeyError"] and tally.refused, tally
+    assert tally.first.startswith("file ")
+
+
+def test_the_figures_are_printed_by_a_command(capsys):
+    main(["bench", "fuzz", "--formats", "report.json", "golden.npz", "--files", "15", "--json"])
+    found = json.loads(capsys.readouterr().out)["formats"]
+    assert [(row["format"], row["files"], row["broken"]) for row in found] == [("report.json", 15, {}), ("golden.npz", 15, {})]
+
+
+# -- bundles that once ended in a traceback ------------------------------------------------------------------
+
+
+def bundle_files():
+    with zipfile.ZipFile(BUNDLE) as archive:
+        return {Path(name).name: archive.read(name) for name in archive.namelist()}
+
+
+def packed(path, files, rehash=True):
+    if rehash:
+        manifest = json.loads(files["manifest.json"])
+        manifest["sha256"] = {key: hashlib.sha256(files[key]).hexdigest() for key in manifest["sha256"]}
+        files = files | {"manifest.json": json.dumps(manifest).encode()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+def golden_with(header, version=1):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name in np.load(io.BytesIO(bundle_files()["golden.npz"])).files:
+            length = struct.pack("<H" if version == 1 else "<I", len(header))
+            archive.writestr(f"{name}.npy", b"\x93NUMPY" + bytes([version, 0]) + length + header.encode() + bytes(64))
+    return buffer.getvalue()
+
+
+def shaped(shape):
+    return f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({shape},)}}\n"
+
+
+HEADERS = {
+    "1e13": shaped(10**13), "1e30": shaped(10**30), "negative": shaped(-1), "unclosed": "{'descr': (((((\n", "empty": "", "text": "x" * 500,
+    "objects": "{'descr': '|O', 'fortran_order': False, 'shape': (1,)}", "code": "__import__('os').system('true')",
+    "a list": "[1, 2]", "deep": "(" * 5000, "long": " " * 60_000, "many axes": shaped("1," * 100),
+    "records": "{'descr': [('a', '<f8'), ('b', '|O')], 'fortran_order': False, 'shape': (1,)}", "half": shaped("1.5"),
+    "no comma": "{'descr': '<f8' 'fortran_order': False}", "null": "\0" * 30, "a key twice": shaped(1).replace("}", ", 'shape': (2,)}"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_arrays_with_odd_headers(tmp_path, name):
+    path = packed(tmp_path / "b.zip", bundle_files() | {"golden.npz": golden_with(HEADERS[name])})
+    with pytest.raises(ToolkitError, match="golden.npz is damaged"):
+        load_bundle(path)
+
+
+@pytest.mark.parametrize("version", [2, 3, 9])
+def test_arrays_of_other_versions(version):
+    with Arrays(golden_with(shaped(3), version)) as arrays, pytest.raises(ArrayError):
+        arrays.read("actions", (4,), ("float64",))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_DEFLATED])
+@pytest.mark.parametrize("harm", ["content", "flag", "method", "size"])
+def test_archives_that_are_packed_otherwise_encrypted_or_lie(tmp_path, method, harm):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in bundle_files().items():
+            archive.writestr(name, content)
+    data = bytearray(buffer.getvalue())
+    central, local = data.find(b"PK\x01\x02"), data.find(b"PK\x03\x04")
+    if harm == "content":
+        data[local + 200 : local + 400] = b"\xa5" * 200
+    else:
+        offset, value = {"flag": (0, 1), "method": (2, 99), "size": (10, 255)}[harm]
+        data[central + 8 + offset] = data[local + 6 + offset] = value
+    path = tmp_path / "b.zip"
+    path.write_bytes(bytes(data))
+    with pytest.raises(ToolkitError):
+        load_bundle(path)
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "9" * 5000, "1e999", "NaN", "-Infinity", "true", '"20"', "[]", "{}"])
+def test_a_rate_that_is_no_finite_number(tmp_path, number):
+    files = bundle_files()
+    text = files["manifest.json"].decode()
+    start = text.index('"policy_hz": ') + len('"policy_hz": ')
+    files["manifest.json"] = (text[:start] + number + text[text.index(",", start) :]).encode()
+    with pytest.raises(ToolkitError, match="policy_hz|not JSON"):
+        load_bundle(packed(tmp_path / "b.zip", files, rehash=False))
+
+
+@pytest.mark.parametrize("label", ["[1, 2]", "3", "null", '"x"', "{", "[" * 100_000, "\udcff"])
+def test_a_graph_whose_metadata_is_no_object(label):
+    import onnx
+
+    graph = onnx.load_from_string(bundle_files()["policy.onnx"])
+    for entry in graph.metadata_props:
+        if entry.key == METADATA_KEY:
+            entry.value = label if label != "\udcff" else "MARK"
+    content = graph.SerializeToString().replace(b"MARK", b"\xff\xfe\xff\xfe")
+    with pytest.raises(ToolkitError, match="metadata|damaged"):
+        onnx_from_bytes(content, "policy.onnx")
+
+
+def test_a_graph_that_asks_for_more_memory_than_there_is():
+    import onnx
+
+    graph = onnx.load_from_string(bundle_files()["policy.onnx"])
+    graph.graph.input[0].type.tensor_type.shape.dim[0].dim_value = 2**40
+    with pytest.raises(ToolkitError):
+        onnx_from_bytes(graph.SerializeToString(), "policy.onnx")
+
+
+@pytest.mark.parametrize("entry", ["run", "object"])
+def test_a_number_without_end_deep_in_the_manifest(tmp_path, entry):
+    files = bundle_files()
+    manifest = json.loads(files["manifest.json"])
+    holder = manifest["run"] if entry == "run" else manifest["task"]["object"]
+    holder["deep"] = [{"x": float("inf")}]
+    files["manifest.json"] = json.dumps(manifest).encode()
+    with pytest.raises(ToolkitError, match="not finite"):
+        load_bundle(packed(tmp_path / "b.zip", files, rehash=False))
+
+
+def test_bundles_that_ended_verify_in_a_traceback(tmp_path):
+    """Made anew as they were; the whole command, status and sentence included."""
+    files = bundle_files()
+    raw = bytearray(files["golden.npz"])
+    raw[raw.find(b"PK\x01\x02") + 8] |= 1
+    raw[raw.find(b"PK\x03\x04") + 6] |= 1
+    cases = {name: {"golden.npz": golden_with(HEADERS[name])} for name in ("1e13", "1e30", "unclosed")}
+    cases["encrypted"] = {"golden.npz": bytes(raw)}
+    for name, change in cases.items():
+        path = packed(tmp_path / f"{name}.zip", files | change)
+        done = subprocess.run([sys.executable, "-m", "toolkit.cli", "verify", str(path)], capture_output=True, text=True,
+                              cwd=Path(cli.__file__).parents[2])  # fmt: skip
+        assert done.returncode == 2 and "Traceback" not in done.stderr and len(done.stderr.splitlines()) == 1, (name, done.stderr)
+
+
+# -- JSON ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff", b"[" * 100_000, b"9" * 5000, b'{"a": 1}}', "\udc80"])
+def test_what_is_no_json_is_said(content):
+    with pytest.raises(ToolkitError, match="f.json is not JSON.*mend it"):
+        parsed(content, "f.json", "mend it")
+
+
+@pytest.mark.parametrize("content", [b"[]", b"3", b"null", b'"x"', b"true"])
+def test_what_is_no_object_is_said(content):
+    with pytest.raises(ToolkitError, match="f.json holds no JSON object"):
+        parsed_object(content, "f.json", "mend it")
+
+
+def test_a_file_that_is_no_file(tmp_path):
+    for path in (tmp_path, tmp_path / "none"):
+        with pytest.raises(ToolkitError, match="cannot be read"):
+            read_object(path, "mend it")
+
+
+SHAPE = {"name": str, "count": int, "share": float, "maybe": (float, None), "list": [int], "map": {...: {"x": bool}}}
+FIT = {"name": "a", "count": 3, "share": 1, "maybe": None, "list": [], "map": {"k": {"x": True, "more": 1}}, "more": []}
+
+
+@pytest.mark.parametrize("change, place", [
+    ({"name": 3}, "name"), ({"count": True}, "count"), ({"count": 1.0}, "count"), ({"share": float("nan")}, "share"),
+    ({"share": float("inf")}, "share"), ({"share": "1"}, "share"), ({"maybe": []}, "maybe"), ({"list": {}}, "list"),
+    ({"list": [1, None]}, r"list\[1\]"), ({"map": []}, "map"), ({"map": {"k": {}}}, "map.k.x"), ({"map": {"k": {"x": 1}}}, "map.k.x"),
+])  # fmt: skip
+def test_a_shape_is_required_and_the_place_named(change, place):
+    assert require(FIT, SHAPE, "f.json", "mend it") is FIT
+    with pytest.raises(ToolkitError, match=f"f.json is damaged, or of another version: {place} "):
+        require(FIT | change, SHAPE, "f.json", "mend it")
+    with pytest.raises(ToolkitError, match="name is missing"):
+        require({key: value for key, value in FIT.items() if key != "name"}, SHAPE, "f.json", "mend it")
+
+
+# -- safetensors ---------------------------------------------------------------------------------------------
+
+
+def tensors_with(path, header, data=b""):
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    path.write_bytes(struct.pack("<Q", len(text)) + text + data)
+    return path
+
+
+@pytest.mark.parametrize("header, data", [
+    (b"", b""), (b"{", b""), (b"[]", b""), ({"a": {"dtype": "F64", "shape": [10**15], "data_offsets": [0, 8]}}, bytes(8)),
+    ({"a": {"dtype": "BF16", "shape": [4], "data_offsets": [0, 8]}, "__metadata__": {"state": "{}"}}, bytes(8)),
+    ({"a": {"dtype": "F8_E4M3", "shape": [8], "data_offsets": [0, 8]}, "__metadata__": {"state": "{}"}}, bytes(8)),
+    ({"a": {"dtype": "BOOL", "shape": [8], "data_offsets": [0, 8]}, "__metadata__": {"state": "{}"}}, bytes(8)),
+    ({"__metadata__": {"state": "[1]"}}, b""), ({"__metadata__": {"state": "[" * 100_000}}, b""), ({"__metadata__": {"other": "{}"}}, b""),
+])  # fmt: skip
+def test_odd_safetensors(tmp_path, header, data):
+    with pytest.raises(ToolkitError, match="delete it"):
+        read_tensors(tensors_with(tmp_path / "c.safetensors", header, data), "checkpoint", "state", "delete it")
+
+
+@pytest.mark.parametrize("change", [
+    {"takes": "x"}, {"takes": [1]}, {"number": "0"}, {"targets": "ab"}, {"path": "../../elsewhere"}, {"stage": 3}, {"more": 1},
+    {"takes": [{"policy": 10**9}]}, {"takes": [{"policy": -1}]}, {"takes": [{"roles": ["king"]}]}, {"takes": [{"roles": []}]},
+    {"takes": [{"score": None}]}, {"takes": [{"noise": "yes"}]},
+])  # fmt: skip
+def test_a_phase_that_says_what_cannot_be(tmp_path, change):
+    """Opened, one of these asked for a billion policies, another would have been written outside the run folder."""
+    network = {"parameters": np.zeros(4), "shift": np.zeros(2), "scale": np.ones(2)}
+    take = Take(0, False, True, False, 9, 1.1, 0, 0, np.zeros(3), ["last"])
+    phase = Phase("path 1", 0, "evolve", ["a"], np.zeros(3), None, [network], [take])
+    phase.save(tmp_path)
+    file = tmp_path / "phases" / f"{phase.name}.safetensors"
+    content = file.read_bytes()
+    size = struct.unpack("<Q", content[:8])[0]
+    header = json.loads(content[8 : 8 + size])
+    state = json.loads(header["__metadata__"]["state"])
+    takes = change.get("takes")
+    if isinstance(takes, list) and isinstance(takes[0], dict):
+        state["takes"][0] |= takes[0]
+    else:
+        state |= change
+    header["__metadata__"]["state"] = json.dumps(state)
+    tensors_with(file, header, content[8 + size :])
+    with pytest.raises(ToolkitError, match="not a phase|damaged"):
+        load_phase(file)
+
+
+# -- run folders ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["report", "tree"])
+@pytest.mark.parametrize("text", ["[]", "{}", "null", "3", '{"targets": []}', '{"nodes": [], "edges": []}', "{", '{"nodes": {"a": 1}}'])
+def test_a_run_file_that_opens_and_says_nothing(tmp_path, name, text):
+    (tmp_path / f"{name}.json").write_text(text)
+    with pytest.raises(ToolkitError, match=f"{name}.json"):
+        {"report": read_report, "tree": read_tree}[name](tmp_path)
+
+
+@pytest.mark.parametrize("line", [
+    "{}", '{"event": "check"}', '{"event": "check", "path": "path 1", "stage": "evolve", "success": "high"}', "[]",
+])  # fmt: skip
+def test_a_record_that_lacks_what_is_drawn(tmp_path, line):
+    run = Run.create(tmp_path / "r", {})
+    (run.path / "metrics.jsonl").write_text(line + "\n")
+    with pytest.raises(ToolkitError, match="metrics.jsonl line 1"):
+        transfer_records(run)

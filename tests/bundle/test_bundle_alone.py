@@ -1,0 +1,506 @@
+"""What the manifest says of the simulation, followed by code that knows nothing else, does what robosuite does."""
+
+import hashlib
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from robots import ROBOTS
+from tasks import TASKS
+from tasks.env import Pick
+from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION, TABLE_FRICTION
+from toolkit.bundle.manifest import Lineage, Success
+from toolkit.bundle.reading import FILES, check_bundle, load_bundle, shipped_bundles
+from toolkit.errors import ToolkitError
+from toolkit.expert.shelf import entry_names
+from toolkit.export.packing import write_bundle
+
+TARGETS = ("jaco", "iiwa", "panda")  # an opening preshape, a base that turns with joint 1, fingers that slide
+LABEL = Success(40, 30, 0.75, (0.59, 0.86), 10**9, "nowhere: a test")
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def policy(restless):
+    return restless(5)
+
+
+@pytest.fixture(scope="module")
+def exported(policy, task, tmp_path_factory):
+    """name -> (folder, its manifest.json as plain JSON)."""
+    done = {}
+
+    def export(name):
+        if name not in done:
+            folder = tmp_path_factory.mktemp("alone") / name
+            lineage = Lineage("adroit", ("adroit", name), (0.0, 1.0), "steiner", "l1", 3, 120)
+            write_bundle(policy, ROBOTS[name], task, {"transfer": {"seed": 3}}, lineage, LABEL, folder, episodes=(1, 1))
+            done[name] = folder, json.loads((folder / "manifest.json").read_text())
+        return done[name]
+
+    return export
+
+
+# -- the controller ----------------------------------------------------------------------------------------------------
+
+
+def rotation(vector):
+    out = np.empty(9)
+    quaternion = np.empty(4)
+    angle = np.linalg.norm(vector)
+    mujoco.mju_axisAngle2Quat(quaternion, np.asarray(vector, float) / angle, angle)
+    mujoco.mju_quat2Mat(out, quaternion)
+    return out.reshape(3, 3)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_torques_follow_from_the_manifests_law(exported, native, name):
+    """The written law on MuJoCo's own Jacobian and mass matrix gives robosuite's torques, the arm in motion and away from its posture."""
+    manifest, robot = exported(name)[1], native(name)
+    says, law, model, data = manifest["controller"], manifest["simulation"]["osc"], robot.model, robot.data
+    controller = robot.env.robots[0].composite_controller.part_controllers["right"]
+    for _ in range(5):
+        robot.apply(np.array([0.6, -0.8, 0.5, 0.3, 0.4, 0.9, -1.0]))
+    joints = [model.joint("robot0_" + joint["name"]) for joint in manifest["joints"]]
+    q, v = [j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]
+    mujoco.mj_forward(model, data)
+    robot.env.robots[0].composite_controller.update_state()  # robosuite tells the controller where its base is once per physics step
+    controller.update(force=True)
+    delta = np.array([0.9, -0.3, 0.5, -0.4, 0.7, 0.2])
+    controller.set_goal(delta)
+    found = controller.clip_torques(controller.run_controller())
+    site, base = model.site("gripper0_right_grip_site").id, model.site(says["base_site"]).id
+    jacobian, base_jacobian = np.zeros((6, model.nv)), np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+    mujoco.mj_jacSite(model, data, base_jacobian[:3], base_jacobian[3:], base)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, mass, data.qM)
+    J, M, inverse = jacobian[:, v], mass[np.ix_(v, v)], np.linalg.inv(mass[np.ix_(v, v)])
+    R, now = data.site_xmat[base].reshape(3, 3), data.site_xmat[site].reshape(3, 3)
+    assert law["goal_from"] == "achieved" and law["reference_frame"] == "base" and law["decoupled"]
+    wanted = R @ rotation(says["rotation_rad"] * delta[3:]) @ R.T @ now
+    e_p = says["translation_m"] * R @ delta[:3]
+    e_r = 0.5 * sum(np.cross(now[:, i], wanted[:, i]) for i in range(3))
+    kp, kd = says["kp"], 2 * says["damping_ratio"] * np.sqrt(says["kp"])
+    speed = J @ data.qvel[v] - base_jacobian @ data.qvel
+    force, torque = kp * e_p - kd * speed[:3], kp * e_r - kd * speed[3:]
+    inertia = lambda rows: np.linalg.inv(rows @ inverse @ rows.T)  # noqa: E731
+    null = law["null_space"]
+    pull = null["kp"] * (np.array(null["posture_rad"]) - data.qpos[q]) - null["kd"] * data.qvel[v]
+    N = np.eye(len(v)) - inverse @ J.T @ inertia(J) @ J
+    tau = J.T @ np.concatenate([inertia(J[:3]) @ force, inertia(J[3:]) @ torque]) + N.T @ M @ pull + data.qfrc_bias[v]
+    limit = np.array(law["torque_limit_nm"])
+    np.testing.assert_allclose(np.clip(tau, -limit, limit), found, rtol=0, atol=1e-4)
+    assert np.abs(N.T @ M @ pull).max() > 1e-3 and (np.abs(found) < limit).any(), "the test should see posture and law"
+    assert np.linalg.norm(speed) > 0.05
+    start = data.site_xpos[base] if not says["turns_with_first_joint"] else law["base_position_m"]
+    assert law["base_position_m"] == pytest.approx(list(start), abs=1e-9)
+    for key, value in law["config"].items():
+        assert not isinstance(value, str) or "object at 0x" not in value, f"{key} is no setting"
+    assert law["config"]["kp"] == says["kp"] and law["config"]["output_max"][:3] == [says["translation_m"]] * 3
+
+
+# -- the gripper -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_gripper_targets_follow_from_start_sign_and_line(exported, native, name):
+    manifest, robot = exported(name)[1], native(name)
+    gripper, motors = manifest["gripper"], manifest["simulation"]["actuators"]
+    state = np.array([motor["start"] for motor in motors])
+    row = [robot.model.actuator("gripper0_right_" + motor["name"]).id for motor in motors]
+    own = [int(a) for a in robot.env.robots[0]._ref_joint_gripper_actuator_indexes["right"]]
+    assert row == own, "in robosuite's order"
+    seen = []
+    for closing in (1, 1, 0.3, -1, 0, 1, -0.2, -1, -1, -1):
+        robot.apply(np.array([0, 0, 0, 0, 0, 0, closing]))
+        state = np.clip(state + np.array([motor["sign"] for motor in motors]) * gripper["rate"] * np.sign(closing), -1, 1)
+        wanted = [motor["low"] + 0.5 * (s + 1) * (motor["high"] - motor["low"]) for motor, s in zip(motors, state, strict=True)]
+        assert robot.data.ctrl[row].tolist() == pytest.approx(wanted, abs=1e-9)
+        seen.append(wanted)
+    assert np.ptp(np.array(seen), axis=0).min() > 1e-3 and all(motor["nonlinearity"] < 1e-9 for motor in motors)
+    for motor in motors:
+        joint = robot.model.joint("gripper0_right_" + motor["joint"]).id
+        assert robot.model.actuator_trnid[robot.model.actuator("gripper0_right_" + motor["name"]).id, 0] == joint
+        assert motor["stiffness"] == robot.model.actuator("gripper0_right_" + motor["name"]).gainprm[0] > 0
+    assert {m["joint"]: tuple(sorted((m["low"], m["high"]))) for m in motors} == {
+        joint: pytest.approx(tuple(sorted(pair))) for joint, pair in gripper["targets"].items()
+    }
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_closing_progress_is_its_formula(exported, native, name):
+    manifest, robot = exported(name)[1], native(name)
+    says, gripper = manifest["simulation"]["closing_progress"], manifest["gripper"]
+    place, command, found = entry_names(OBSERVATION).index("closing_progress"), gripper["preshape"], []
+    value = lambda at: eval(says["formula"], {}, {"command": at, "preshape": gripper["preshape"]})  # noqa: E731
+    for closing in (0, -1, -1, 1, 1, 1, -1, *[1] * 12):
+        observation = robot.apply(np.array([0, 0, 0.2, 0, 0, 0, closing]))
+        command = float(np.clip(command + gripper["rate"] * np.sign(closing), -1, 1))
+        assert observation[place] == pytest.approx(value(command), abs=1e-12)
+        found.append(observation[place])
+    assert says["low"] == pytest.approx(value(-1.0)) and says["high"] == pytest.approx(value(1.0))
+    assert says["low"] <= min(found) and max(found) <= says["high"] + 1e-12
+    assert (says["low"] < -1) == (name == "jaco"), "the Jaco starts half closed"
+
+
+# -- the world ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_materials_are_the_tasks(exported, native, name, task):
+    simulation, model = exported(name)[1]["simulation"], native(name).model
+    made = simulation["materials"]
+    assert made["object"]["friction"] == list(task.object.friction) and made["table"]["friction"] == list(TABLE_FRICTION)
+    half = exported(name)[1]["task"]["object"]["half_size_m"]
+    body = model.body(native(name).env.item.root_body)
+    assert 8 * np.prod(half) * simulation["object_density_kg_m3"] == pytest.approx(float(body.mass[0])) == pytest.approx(task.object.mass)
+    shapes = {model.geom(g).name.removeprefix("gripper0_right_"): g for g in range(model.ngeom)}
+    for shape, says in made.items():
+        geom = shapes[{"table": "table_collision", "object": "object_g0"}.get(shape, shape)]
+        assert says["solref"] == model.geom_solref[geom].tolist() and says["condim"] == model.geom_condim[geom]
+    assert len(made) > 4, "the fingers' shapes are there"
+    physics = simulation["physics"]
+    assert physics["timestep_s"] * physics["substeps"] == pytest.approx(1 / exported(name)[1]["policy_hz"])
+    assert (physics["integrator"], physics["cone"], physics["solver"]) == ("EULER", "ELLIPTIC", "NEWTON")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_poses_are_as_old_as_the_manifest_says_in_robosuites_own_step(exported, native, name, monkeypatch):
+    """Every physics step of robosuite's env.step is watched: at which of them does the site stand where the observation has it?"""
+    robot, says = native(name), exported(name)[1]["simulation"]["sampling"]
+    times, places, angles = [], [], []
+    fresh = mujoco.MjData(robot.model)
+    inner = robot.env.sim.step2
+
+    def watched():
+        times.append(robot.data.time)
+        fresh.qpos[:] = robot.data.qpos
+        mujoco.mj_kinematics(robot.model, fresh)
+        places.append(fresh.site("gripper0_right_grip_site").xpos.copy())
+        inner()
+        angles.append(robot.data.qpos.copy())
+
+    monkeypatch.setattr(robot.env.sim, "step2", watched)
+    seen = robot.apply(np.array([0.8, 0.4, 0.2, 0, 0, 0, -1.0]))
+    at = list(np.repeat(list(OBSERVATION), list(OBSERVATION.values()))).index("grasp_position")
+    away = [np.abs(START_POSITION + seen[at : at + 3] - place).max() for place in places]
+    best = int(np.argmin(away))
+    assert away[best] < 1e-9 and min(away[:best] + away[best + 1 :]) > 1e-6
+    assert robot.data.time - times[best] == pytest.approx(says["pose_age_s"], abs=1e-9)
+    assert says["joint_age_s"] == 0 and np.array_equal(angles[-1], robot.data.qpos)
+    assert len(times) == exported(name)[1]["simulation"]["physics"]["substeps"]
+
+
+@pytest.mark.parametrize("name", ["jaco"])
+def test_starts_can_be_drawn_from_the_manifest_alone(exported, native, name):
+    manifest, robot = exported(name)[1], native(name)
+    says, task = manifest["simulation"]["starts"], manifest["task"]
+    assert (says["seed"], says["episodes"]) == (LABEL.seed, LABEL.episodes)
+    for number in range(says["episodes"]):
+        rng = np.random.default_rng(says["seed"] + number)
+        drawn = {what: rng.uniform(*ends) for what, *ends in zip(says["draws"], says["low"], says["high"], strict=True)}
+        robot.begin(says["seed"] + number)
+        place = np.array([*task["object_xy_m"], task["table_top_m"] + task["object"]["half_size_m"][-1]])
+        place[:2] += drawn["shift_x"], drawn["shift_y"]
+        np.testing.assert_allclose(robot.env.object_position, place, atol=1e-9)
+        np.testing.assert_allclose(robot.env.goal, place + task["goal_offset_m"], atol=1e-12)
+        if number < len(says["examples"]):
+            assert says["examples"][number] == pytest.approx([*place, drawn["yaw"], *robot.env.goal], abs=1e-12)
+
+
+def test_a_start_that_turns_is_told_with_its_yaw():
+    from toolkit.export.loop import _starts
+
+    task = TASKS["061_foam_brick-wide"]
+    says = _starts(task, LABEL)
+    rng = np.random.default_rng(LABEL.seed)
+    shift, turn = rng.uniform(-task.noise_xy, task.noise_xy, 2), rng.uniform(says.low[2], says.high[2])
+    assert says.examples[0][3] == pytest.approx(turn, abs=1e-12) and abs(turn) > 0.01
+    assert says.examples[0][0] == pytest.approx(-0.10 + shift[0])
+
+
+def test_steps_at_the_goal_count_as_the_manifest_says(exported, task):
+    """Five hundred random courses of distances, counted by the manifest's words and by the task."""
+    says, tolerance, needed = exported("jaco")[1]["simulation"]["holding"], task.goal_tolerance, task.hold_steps
+    rng, outcomes = np.random.default_rng(0), []
+    for _ in range(500):
+        course = rng.choice([0.0, tolerance, 1.1 * tolerance], 40, p=[0.86, 0.07, 0.07])
+        shown = SimpleNamespace(task=task, goal=np.zeros(3), _held=0, succeeded=False, lost=False)
+        count, done = 0, False
+        for distance in course:
+            shown.object_position = np.array([0, 0, distance])
+            Pick.reward(shown)
+            near = distance < tolerance if says["strict"] else distance <= tolerance
+            count = count + 1 if near else 0 if says["consecutive"] else count
+            done = count >= needed
+            assert done == shown.succeeded
+        outcomes.append(done)
+    assert 0.05 < np.mean(outcomes) < 0.95, "both must occur"
+
+
+def test_stopping_distances_are_those_of_robosuites_own_step(exported, native):
+    robot, rows = native("panda"), exported("panda")[1]["simulation"]["stopping"]
+    assert [row["action"] for row in rows] == sorted(row["action"] for row in rows)
+    site = robot.model.site("gripper0_right_grip_site").id
+    says, speeds, gone = rows[-1], [], []
+    for direction in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)):
+        robot.begin(0)
+        places = []
+        for step in range(24):
+            robot.apply(np.array([*(says["action"] * np.array(direction) * (step < 8)), 0, 0, 0, -1.0]))
+            places.append(robot.data.site_xpos[site].copy())
+        speeds.append(np.linalg.norm(places[7] - places[6]) * 20)
+        gone.append(max(np.linalg.norm(place - places[7]) for place in places[8:]))
+    assert max(speeds) == pytest.approx(says["speed_m_s"], abs=1e-4) and max(gone) == pytest.approx(says["distance_m"], abs=1e-4)
+    assert 0.15 < says["speed_m_s"] < 0.4 and 0.005 < says["distance_m"] < 0.06 and 0 < says["time_s"] <= 0.8
+
+
+# -- the schema --------------------------------------------------------------------------------------------------------
+
+
+def complaints(value, schema, root, path="$"):
+    """What is wrong with a JSON value, by the few words of JSON schema that ours uses; written from the specification, not from ours."""
+    if "$ref" in schema:
+        yield from complaints(value, root["$defs"][schema["$ref"].removeprefix("#/$defs/")], root, path)
+    if "const" in schema and value != schema["const"]:
+        yield f"{path} is not {schema['const']}"
+    if "enum" in schema and value not in schema["enum"]:
+        yield f"{path} is none of {schema['enum']}"
+    if "anyOf" in schema and all(list(complaints(value, one, root, path)) for one in schema["anyOf"]):
+        yield f"{path} fits nothing"
+    if "type" in schema:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = {"object": isinstance(value, dict), "array": isinstance(value, list), "string": isinstance(value, str),
+                "boolean": isinstance(value, bool), "null": value is None, "number": number,
+                "integer": number and float(value).is_integer()}[schema["type"]]  # fmt: skip
+        if not fits:
+            yield f"{path} is no {schema['type']}"
+            return
+    if isinstance(value, dict):
+        for name in schema.get("required", ()):
+            if name not in value:
+                yield f"{path}.{name} is missing"
+        for name, item in value.items():
+            inner = schema.get("properties", {}).get(name, schema.get("additionalProperties", {}))
+            if inner is False:
+                yield f"{path}.{name} is unknown"
+            else:
+                yield from complaints(item, inner, root, f"{path}.{name}")
+    if isinstance(value, list):
+        for place, item in enumerate(value):
+            yield from complaints(item, schema.get("items", {}), root, f"{path}[{place}]")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_manifest_is_valid_by_the_schema_beside_it(exported, name):
+    folder, manifest = exported(name)
+    schema = json.loads((folder / "manifest.schema.json").read_text())
+    assert list(complaints(manifest, schema, schema)) == []
+    assert schema["$schema"].startswith("https://json-schema.org/draft/2020-12")
+    for name, record in (("manifest", schema), *schema["$defs"].items()):
+        assert len(record["description"]) > 20 and record["required"], f"{name} is not explained"
+        for entry in record["required"]:
+            assert entry in record["description"], f"{name}.{entry} is not explained"
+
+
+@pytest.mark.parametrize("harm, where", [
+    (lambda m: m["simulation"]["osc"].pop("null_space"), "$.simulation.osc.null_space is missing"),
+    (lambda m: m["joints"][2].update(speed="fast"), "$.joints[2].speed is no number"),
+    (lambda m: m["controller"].update(input="absolute"), "$.controller.input is none of"),
+    (lambda m: m["simulation"]["holding"].update(consecutive=1), "$.simulation.holding.consecutive is no boolean"),
+    (lambda m: m.update(simulation=None), "$.simulation is no object"),
+    (lambda m: m.update(licence=None), "$.licence is no string"),
+    (lambda m: m.update(format_version=2), "$.format_version is not 4"),
+    (lambda m: m["watch"].update(patience=3), "$.watch.patience is unknown"),
+    (lambda m: m["simulation"]["actuators"][0].update(force=["x"]), "$.simulation.actuators[0].force fits nothing"),
+    (lambda m: m["golden"].update(steps=2.5), "$.golden.steps is no integer"),
+])  # fmt: skip
+def test_what_is_wrong_is_found_by_the_schema(exported, harm, where):
+    folder, manifest = exported("panda")
+    schema, broken = json.loads((folder / "manifest.schema.json").read_text()), json.loads(json.dumps(manifest))
+    harm(broken)
+    found = list(complaints(broken, schema, schema))
+    assert len(found) == 1 and found[0].startswith(where), found
+
+
+def test_another_reader_of_schemas_agrees(exported):
+    jsonschema = pytest.importorskip("jsonschema")
+    folder, manifest = exported("panda")
+    schema = json.loads((folder / "manifest.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(manifest, schema, jsonschema.Draft202012Validator)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(manifest | {"simulation": None}, schema, jsonschema.Draft202012Validator)
+
+
+def test_the_licence_is_the_projects(exported):
+    text = (ROOT / "pyproject.toml").read_text()
+    assert f'license = "{exported("panda")[1]["licence"]}"' in text
+
+
+# -- the policy in other people's forms --------------------------------------------------------------------------------
+
+
+def rows(policy, count=200):
+    layers = policy.layers()
+    draws = np.random.default_rng(2).standard_normal((count, OBSERVATION_SIZE))
+    return (layers.shift + 3.0 * layers.scale * draws).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_layers_flat_graph_and_named_graph_give_one_action(exported, policy, native, name):
+    """torch's own Linear layers from actor.safetensors, onnxruntime on a batch, and robosuite's action of the policy itself."""
+    folder = exported(name)[0]
+    tensors = load_file(folder / "actor.safetensors")
+    net = []
+    for i in range(sum(key.endswith(".weight") for key in tensors)):
+        W = tensors[f"layer_{i}.weight"]
+        linear = torch.nn.Linear(W.shape[1], W.shape[0], dtype=torch.float64)
+        linear.load_state_dict({"weight": W, "bias": tensors[f"layer_{i}.bias"]})
+        net += [linear, torch.nn.Tanh()]
+    net = torch.nn.Sequential(*net[:-1])
+    seen = rows(policy)
+    with torch.no_grad():
+        x = (torch.from_numpy(seen.astype(float)) - tensors["observation.shift"]) / tensors["observation.scale"]
+        acted = net(x.clamp(-tensors["observation.clip"], tensors["observation.clip"])).clamp(-1, 1).numpy()
+    session = onnxruntime.InferenceSession(folder / "policy_flat.onnx", providers=["CPUExecutionProvider"])
+    flat = session.run(["actions"], {"obs": seen})[0]
+    bundle, robot = load_bundle(folder), native(name)
+    named = np.array([bundle(row) for row in seen])
+    wanted = np.array([robot.robosuite_action(policy.mean(row.astype(float))) for row in seen])
+    assert acted.shape == flat.shape == named.shape == (200, 7)
+    for what, found in (("actor.safetensors in torch", acted), ("policy_flat.onnx", flat), ("policy.onnx", named)):
+        error = float(np.abs(found - wanted).max())
+        assert error < 1e-6, f"{name}, {what}: {error:.1e}"
+    assert 0.05 < (np.abs(wanted) == 1.0).mean() < 0.95 and wanted[:, 6].std() > 0.1
+    one = session.run(None, {"obs": seen[:1]})[0]
+    assert one.shape == (1, 7) and np.abs(one - flat[:1]).max() < 1e-6, "a batch of one, too"
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_keys_that_isaac_lab_and_mjlab_read_are_there(exported, native, name):
+    folder, manifest = exported(name)
+    for file in ("policy.onnx", "policy_flat.onnx"):
+        words = {entry.key: entry.value for entry in onnx.load(folder / file).metadata_props}
+        assert {"run_path", "joint_names", "joint_stiffness", "joint_damping", "default_joint_pos", "command_names", "observation_names",
+                "action_scale"} <= set(words)  # fmt: skip
+        joints = words["joint_names"].split(",")
+        numbers = {key: [float(v) for v in words[key].split(",")] for key in ("joint_stiffness", "joint_damping", "default_joint_pos")}
+        model, data = native(name).model, native(name).data
+        for place, joint in enumerate(joints):
+            own = next(model.joint(prefix + joint) for prefix in ("robot0_", "gripper0_right_")
+                       if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + joint) >= 0)  # fmt: skip
+            motor = int(np.flatnonzero(model.actuator_trnid[:, 0] == own.id)[0])
+            servo = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE
+            assert numbers["joint_stiffness"][place] == (model.actuator_gainprm[motor, 0] if servo else 0.0)
+            assert numbers["joint_damping"][place] == (-model.actuator_biasprm[motor, 2] if servo else 0.0)
+            assert numbers["default_joint_pos"][place] == data.qpos[own.qposadr[0]], "to the bit"
+        assert len(joints) == model.nu, "every motor's joint"
+        assert words["observation_names"].split(",") == list(OBSERVATION) and words["command_names"] == ""
+        assert [float(v) for v in words["action_scale"].split(",")] == [0.05] * 3 + [0.5] * 3 + [1.0]
+        assert json.loads(words["meta_evolve"])["robot"] == manifest["robot"]
+
+
+def test_the_config_tells_the_flat_graphs_shapes(exported):
+    folder, manifest = exported("iiwa")
+    config = json.loads((folder / "config.json").read_text())
+    session = onnxruntime.InferenceSession(folder / config["onnx"], providers=["CPUExecutionProvider"])
+    (entry,), (out,) = session.get_inputs(), session.get_outputs()
+    assert entry.shape[1:] == config["input_features"]["observation.state"]["shape"] == [len(config["observation_names"])]
+    assert out.shape[1:] == config["output_features"]["action"]["shape"] == [len(config["action_names"])]
+    assert isinstance(entry.shape[0], str), "the batch is free"
+    assert len(set(config["observation_names"])) == OBSERVATION_SIZE and (folder / config["safetensors"]).is_file()
+    assert {config["input_features"]["observation.state"]["type"], config["output_features"]["action"]["type"]} == {"STATE", "ACTION"}
+    assert set(config["normalization_mapping"].values()) == {"IDENTITY"}, "the graph normalises by itself"
+
+
+# -- replayed without the toolkit --------------------------------------------------------------------------------------
+
+ALONE = """
+import runpy, sys
+for name in ("toolkit", "tasks", "robots", "grippers", "mink", "torch", "onnxruntime"):
+    sys.modules[name] = None  # not to be imported
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def replay(folder):
+    command = [sys.executable, "-I", "-c", ALONE, str(ROOT / "docs" / "replay_golden.py"), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    return done, json.loads(done.stdout.splitlines()[-1]) if done.stdout else {}
+
+
+@pytest.fixture
+def unpacked(tmp_path):
+    """name -> folder of a shipped bundle; its policy is a trained one, which no rounding throws out of its episode."""
+
+    def unpack(name):
+        with zipfile.ZipFile(shipped_bundles()[name]) as archive:
+            archive.extractall(tmp_path)
+        return tmp_path / name
+
+    return unpack
+
+
+@pytest.mark.parametrize("name", ["jaco", "kinova3", "iiwa"])
+def test_golden_actions_replay_in_robosuite_without_the_toolkit(unpacked, name):
+    folder = unpacked(name)
+    done, said = replay(folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    golden = json.loads((folder / "manifest.json").read_text())["golden"]
+    assert golden["success"] and said["steps"] == golden["steps"] - 1 and said["arm_rad"] < 1e-5 and said["object_m"] < 1e-5, said
+
+
+@pytest.mark.parametrize("harm", [
+    lambda m: m["simulation"]["actuators"][0].update(start=-m["simulation"]["actuators"][0]["start"]),
+    lambda m: m["start"]["arm_rad"].__setitem__(1, m["start"]["arm_rad"][1] + 0.02),
+    lambda m: m["task"]["object"].update(half_size_m=[0.03, 0.03, 0.03]),
+])  # fmt: skip
+def test_a_replay_from_a_wrong_manifest_fails(unpacked, harm):
+    """The script compares: a gripper that starts otherwise, an arm that does, another object are not the recording."""
+    folder = unpacked("jaco")
+    broken = json.loads((folder / "manifest.json").read_text())
+    harm(broken)
+    (folder / "manifest.json").write_text(json.dumps(broken))
+    done, said = replay(folder)
+    assert done.returncode == 1 and said and max(said["arm_rad"], said["object_m"]) > 1e-4, done.stderr
+
+
+EARLIER = ("policy.onnx", "policy.safetensors", "golden.npz", "robot.xml", "README.md")
+
+
+@pytest.mark.parametrize("version, lacks, kept", [
+    (2, ("simulation", "licence", "holds"), EARLIER),
+    (3, ("holds",), (*EARLIER, "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json")),
+])  # fmt: skip
+def test_a_bundle_of_an_earlier_format_version_still_loads(unpacked, version, lacks, kept):
+    """As earlier releases wrote it: fewer entries, and fewer files beside the manifest."""
+    folder = unpacked("kinova3")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    label = {key: value for key, value in manifest.items() if key not in ("sha256", *lacks)} | {"format_version": version}
+    model = onnx.load(folder / "policy.onnx")
+    onnx.helper.set_model_props(model, {"meta_evolve": json.dumps(label)})
+    (folder / "policy.onnx").write_bytes(model.SerializeToString())
+    for file in set(FILES) - {*kept, "manifest.json"}:
+        (folder / file).unlink(missing_ok=True)
+    old = label | {"sha256": {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in kept}}
+    (folder / "manifest.json").write_text(json.dumps(old))
+    bundle = load_bundle(folder)
+    assert all(getattr(bundle.manifest, key) is None for key in lacks)
+    assert bundle.manifest.to_json() == old and check_bundle(bundle)["golden_ok"]
+    (folder / "manifest.json").write_text(json.dumps(old | {"holds": []}))
+    with pytest.raises(ToolkitError, match=f"holds does not fit format version {version}.*export the bundle again"):
+        load_bundle(folder)

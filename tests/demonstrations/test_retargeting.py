@@ -1,0 +1,265 @@
+"""From a recorded hand to a robot hand: distances, inverse kinematics, the script that follows a track, the replay."""
+
+import mink
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from grippers.gripper import COMMANDED_ROLES
+from robots import ROBOTS
+from tasks import TASKS
+from tasks.dexycb.recording import FINGERS, JOINT_NAMES
+from tasks.dexycb.standin import SERIALS, write_standin
+from tasks.objects import OBJECTS
+from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
+from toolkit.demonstrations.rehearsal import Dropped, Studio, teachers_for
+from toolkit.demonstrations.retargeting import PREFIX, REACHABLE, HandModel, touching
+from toolkit.demonstrations.scripts import entry
+from toolkit.demonstrations.tracks import Track, TrackScript, _stretch
+from toolkit.errors import ToolkitError
+from toolkit.simulation.plant import CLOSING
+
+BOX, CAN = OBJECTS["061_foam_brick"], OBJECTS["005_tomato_soup_can"]
+points = st.tuples(*[st.floats(-0.1, 0.1)] * 3).map(np.array)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    root = tmp_path_factory.mktemp("standin") / "root"
+    write_standin(root, ["061_foam_brick"], each=1, seed=0)
+    return root
+
+
+@pytest.fixture(scope="module")
+def studio(root):
+    return Studio(root, ROBOTS["adroit"])
+
+
+@pytest.fixture(scope="module")
+def demonstration(studio):
+    return studio.demonstration(studio.read(studio.names[0]))
+
+
+# -- distances -----------------------------------------------------------------------------------------------
+
+
+def test_a_finger_touches_with_its_last_bone():
+    joints = np.full((21, 3), 1.0)
+    for part, height in (("dip", 0.06), ("tip", BOX.half_size[2] + 0.01)):
+        joints[JOINT_NAMES.index(f"index_{part}")] = [0, 0, height]
+    np.testing.assert_array_equal(touching(BOX, np.eye(4), joints), [0, 1, 0, 0, 0])
+    joints[JOINT_NAMES.index("index_tip"), 2] += 0.005
+    assert 0 < touching(BOX, np.eye(4), joints)[1] < 1
+
+
+# -- inverse kinematics --------------------------------------------------------------------------------------
+
+
+def test_the_palm_is_found_from_its_own_knuckles():
+    hand = HandModel(ROBOTS["adroit"], BOX)
+    R, p = Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix(), np.array([0.3, -0.2, 1.0])
+    joints = np.zeros((21, 3))
+    joints[[0, *(JOINT_NAMES.index(f"{finger}_mcp") for finger in FINGERS[1:])]] = hand._palm_points @ R.T + p
+    found = hand.palm_pose(joints)
+    np.testing.assert_allclose(found[0], R, atol=1e-9)
+    np.testing.assert_allclose(found[1], p, atol=1e-9)
+    data = mujoco.MjData(hand.model)
+    data.qpos[:] = hand.start(joints)
+    mujoco.mj_kinematics(hand.model, data)
+    body = data.body(hand._palm)
+    np.testing.assert_allclose(body.xpos, p, atol=1e-9)
+    np.testing.assert_allclose(body.xmat.reshape(3, 3), R, atol=1e-9)
+
+
+def test_a_hand_without_five_fingers_is_refused():
+    with pytest.raises(ToolkitError, match="gripper robotiq85 has no joint .*; recordings of hands need a hand with five fingers"):
+        HandModel(ROBOTS["kinova3"], BOX)
+
+
+def test_the_robot_hand_follows_within_its_limits(demonstration):
+    """Errors again from the configurations alone, by MuJoCo's own kinematics."""
+    motion, recording = demonstration.motion, demonstration.recording
+    model, wanted = demonstration.hand, demonstration.scene.joints(recording)
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    angles, ranges = motion.qpos[:, model.jnt_qposadr[hinges]], model.jnt_range[hinges]
+    assert (angles >= ranges[:, 0] - 1e-6).all() and (angles <= ranges[:, 1] + 1e-6).all()
+    data, errors = mujoco.MjData(model), []
+    for frame, qpos in zip(motion.frames, motion.qpos, strict=True):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        tips = [wanted[frame, JOINT_NAMES.index(f"{finger}_tip")] for finger in FINGERS]
+        errors.append([np.linalg.norm(data.site(f"tip/{f}").xpos - tip) for f, tip in zip(FINGERS, tips, strict=True)])
+    np.testing.assert_allclose(motion.tip_error, errors, atol=1e-9)
+    mean = motion.tip_error.mean()
+    assert mean < 0.010, f"fingertips are {1e3 * mean:.1f} mm off on average"
+    assert set(motion.infeasible) == {int(f) for f, e in zip(motion.frames, errors, strict=True) if max(e) > REACHABLE}
+
+
+def test_touching_fingers_are_told_to_close(demonstration):
+    motion, scene = demonstration.motion, demonstration.scene
+    assert np.abs(motion.commands).max() <= 1.0
+    at = int(np.searchsorted(motion.frames, scene.grasped))
+    for finger in ("thumb", "index", "middle"):
+        mine = motion.commands[at][[role.startswith(PREFIX[finger]) for role in COMMANDED_ROLES]]
+        np.testing.assert_allclose(mine, 1.0, atol=1e-9, err_msg=finger)
+    early = motion.commands[0][CLOSING].mean()
+    assert early < -0.3, f"the hand comes with its closing at {early:.2f}"
+
+
+def test_the_grasp_frame_is_the_plants(demonstration):
+    """The same palm as on the robot: from the palm's pose to the grasp frame's as the whole robot has it."""
+    from toolkit.simulation.plant import native_plant
+
+    plant = native_plant(ROBOTS["adroit"], demonstration.scene.task)
+    plant.begin(0)
+    prefix = "gripper0_right_"
+    palm, site = plant.data.body(f"{prefix}palm"), plant.data.site(f"{prefix}grip_site")
+    there = palm.xmat.reshape(3, 3).T @ (site.xpos - palm.xpos)
+    motion, data = demonstration.motion, mujoco.MjData(demonstration.hand)
+    data.qpos[:] = motion.qpos[5]
+    mujoco.mj_kinematics(demonstration.hand, data)
+    palm = data.body("gripper0_palm")
+    here = palm.xmat.reshape(3, 3).T @ (motion.grasp_position[5] - [0, 0, motion.raised] - palm.xpos)
+    np.testing.assert_allclose(here, there, atol=1e-6)
+    turned = np.linalg.norm(mink.SO3.from_matrix(motion.grasp_rotation[0] @ START_ROTATION.T).log())
+    assert turned < 0.6, f"a palm that comes down flat starts {turned:.2f} rad from the robot's start"
+
+
+# -- following a track ---------------------------------------------------------------------------------------
+
+
+def straight_track(round_=False):
+    T = 30
+    down = np.linspace(0.1, 0.0, T)
+    commands = np.full((T, len(COMMANDED_ROLES)), -1.0)
+    commands[12:] = 1.0
+    goal = np.zeros((T, 3))
+    goal[:, 1:] = np.outer(np.r_[np.ones(15), np.linspace(1, 0, 15)], [0.1, 0.2])
+    return Track("straight", np.stack([0 * down, 0 * down, -down], axis=1), np.zeros((T, 3)), commands, goal, 14, round_)
+
+
+def observation_of(**entries):
+    observation = np.zeros(OBSERVATION_SIZE)
+    for name, value in entries.items():
+        entry(observation, name)[...] = value
+    return observation
+
+
+def test_the_track_turns_with_the_object():
+    script = TrackScript(straight_track(), np.array([0.0, 0.1, 0.2]), CLOSING)
+    offset, yaw = np.array([0.02, -0.01, -0.05]), 0.4
+    R = Rotation.from_rotvec([0, 0, yaw]).as_matrix()
+    plain = script(observation_of(object_from_grasp=offset, closing_progress=-1))
+    turned = script(observation_of(object_from_grasp=R @ offset, closing_progress=-1, object_rotation=[0, 0, np.sin(yaw)]))
+    np.testing.assert_allclose(turned[:3], np.clip(R @ plain[:3], -1, 1), atol=1e-9)
+    assert turned[5] > plain[5], "the hand does not turn with the object"
+    assert turned.shape == (ACTION_SIZE,)
+
+
+def test_a_can_has_no_yaw():
+    script = TrackScript(straight_track(True), np.array([0.0, 0.1, 0.2]), CLOSING)
+    seen = dict(object_from_grasp=[0.02, -0.01, -0.05], closing_progress=-1)
+    np.testing.assert_array_equal(script(observation_of(**seen)), script(observation_of(**seen, object_rotation=[0, 0, 0.5])))
+
+
+def test_fingers_close_where_the_hand_is_aligned_and_not_beside_it():
+    script = TrackScript(straight_track(), np.array([0.0, 0.1, 0.2]), CLOSING)
+    there = script._offset[-1]
+    aligned = script(observation_of(object_from_grasp=there, closing_progress=-1))
+    beside = script(observation_of(object_from_grasp=there + [0.03, 0, 0], closing_progress=-1))
+    assert (aligned[6:] == 1).all() and (beside[6:] == -1).all()
+    assert beside[2] > aligned[2], "a hand beside the object comes down"
+
+
+def test_fingers_that_closed_beside_the_object_open_and_come_back_over_it():
+    """A hand overshoots: without this it lifts nothing for the rest of the episode."""
+    script = TrackScript(straight_track(), np.array([0.0, 0.1, 0.2]), CLOSING)
+    beside = script._offset[-1] + [-0.045, 0.0, -0.02]
+    for progress in (1.0, 0.5, 0.0):
+        action = script(observation_of(object_from_grasp=beside, closing_progress=progress, goal_from_object=[0.0, 0.1, 0.2]))
+        assert (action[6:] == -1).all(), f"at progress {progress} the fingers stay closed on nothing"
+        assert action[0] < 0 < action[2], "the hand does not go back, above the object"
+    held = script(observation_of(object_from_grasp=script._offset[-1] + [0.0, 0.01, -0.01], closing_progress=1.0,
+                                 goal_from_object=[0.0, 0.1, 0.2]))  # fmt: skip
+    assert (held[6:] == 1).all() and held[2] > 0.5, "what is held, if a little off, is let go"
+
+
+def test_a_held_object_is_carried_to_the_tasks_goal():
+    offset = np.array([0.0, 0.1, 0.2])
+    script = TrackScript(straight_track(), offset, CLOSING)
+    held = dict(closing_progress=1, object_from_grasp=script._offset[-1])
+    at_goal = script(observation_of(**held))
+    np.testing.assert_allclose(at_goal[:3], 0, atol=1e-9)
+    lifted = script(observation_of(**held, goal_from_object=offset))
+    assert lifted[2] > 0.5 and (lifted[6:] == 1).all()
+
+
+@given(recorded=points, wanted=points)
+def test_the_way_is_stretched_to_the_goal(recorded, wanted):
+    S = _stretch(recorded, wanted)
+    if np.hypot(*recorded[:2]) > 0.02:
+        np.testing.assert_allclose((S @ recorded)[:2], wanted[:2], atol=1e-9)
+    if abs(recorded[2]) > 0.02:
+        np.testing.assert_allclose((S @ recorded)[2], wanted[2], atol=1e-9)
+
+
+# -- replay --------------------------------------------------------------------------------------------------
+
+
+def test_a_recorded_pick_is_played_again_in_simulation(studio, demonstration):
+    assert demonstration.succeeded, f"the replay fails after {demonstration.steps} steps"
+    trace = studio.trace(demonstration)
+    assert trace.success and len(trace.qpos) == demonstration.steps + 1
+    np.testing.assert_allclose(trace.goal - trace.qpos[0, -7:-4], demonstration.scene.task.goal_offset, atol=1e-6)
+    figures = demonstration.to_json()
+    assert figures["replay_succeeded"] and figures["tip_error_mm"] == pytest.approx(1e3 * demonstration.motion.tip_error.mean())
+
+
+def test_a_hand_that_misses_is_dropped_and_counted(root, tmp_path):
+    import shutil
+
+    wrong = tmp_path / "wrong"
+    shutil.copytree(root, wrong)
+    for serial in SERIALS:
+        for file in wrong.glob(f"*/*/{serial}/labels_*.npz"):
+            with np.load(file) as arrays:
+                content = dict(arrays)
+            if (content["joint_3d"] != -1).any():
+                content["joint_3d"] += np.float32([0.15, 0.0, 0.0])
+            np.savez(file, **content)
+    with pytest.raises(ToolkitError, match="none of 1 recordings of 061_foam_brick in .* can be followed"):
+        teachers_for(wrong, ROBOTS["adroit"], TASKS["061_foam_brick"])
+
+
+def test_an_object_that_nobody_recorded_is_said(root):
+    with pytest.raises(ToolkitError, match="no recording of 008_pudding_box; it has: 061_foam_brick"):
+        teachers_for(root, ROBOTS["adroit"], TASKS["008_pudding_box"])
+
+
+def test_an_empty_folder_is_said(tmp_path):
+    with pytest.raises(ToolkitError, match="expected folders <subject>/<time>/meta.yml, found none"):
+        Studio(tmp_path, ROBOTS["adroit"])
+
+
+def test_a_broken_recording_stops_with_its_sentence(root, tmp_path):
+    import shutil
+
+    shutil.copytree(root, tmp_path / "broken")
+    next((tmp_path / "broken").glob("*/*/pose.npz")).write_bytes(b"PK")
+    studio = Studio(tmp_path / "broken", ROBOTS["adroit"])
+    with pytest.raises(ToolkitError, match="pose.npz: expected a whole .npz file"):
+        studio.read(studio.names[0])
+
+
+def test_the_clip_is_drawn(studio, demonstration, tmp_path):
+    from toolkit.inspection.recording.hands import Clip, record_clips
+
+    d, trace = demonstration, studio.trace(demonstration)
+    clip = Clip(d.recording.name, d.scene.task.object, 0.04, d.scene.joints(d.recording), d.scene.object_poses(d.recording), d.hand,
+                d.motion.frames, d.motion.qpos, trace.model, trace.qpos, 0.05, "reaches the goal")  # fmt: skip
+    record_clips(tmp_path / "hands.rrd", [clip, clip])
+    assert (tmp_path / "hands.rrd").stat().st_size > 10**5
+    assert not isinstance(d, Dropped)

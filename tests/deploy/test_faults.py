@@ -1,0 +1,156 @@
+"""A bad day: every fault that is injected must be met, and the injector must see when it is not."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from robots import ROBOTS
+from toolkit.bundle.reading import load_bundle
+from toolkit.cli import main
+from toolkit.deploy import faults
+from toolkit.deploy.arm import ArmInfo, State
+from toolkit.deploy.faults import HARMS, onsets, trial, trials
+from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
+from toolkit.export.twin import Twin
+from toolkit.runs.seeds import EVALUATION_SEEDS
+
+CLOCKLESS = tuple(harm for harm in HARMS if not harm.real)
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return load_bundle("kinova3")
+
+
+class Direct:
+    """A twin as a driver, without a socket between."""
+
+    def __init__(self, twin):
+        self.twin = twin
+        self.begin, self.send, self.stop = twin.begin, twin.send, twin.stop
+
+    def connect(self):
+        found = self.twin.describe()
+        found.pop("pace")
+        return ArmInfo(**found)
+
+    def read(self):
+        found = self.twin.read()
+        arrays = {key: np.array(found[key], float) for key in ("joints", "fingers", "speeds", "efforts", "object_position",
+                                                                "object_quaternion", "goal")}  # fmt: skip
+        return State(time.monotonic(), fault=found["fault"], outcome=found["outcome"], **arrays)
+
+
+@pytest.fixture(scope="module")
+def arm(task):
+    return Direct(Twin(ROBOTS["kinova3"], task, "lockstep"))
+
+
+@pytest.mark.parametrize("form", ["osc", "pose", "joint"])
+def test_no_fault_is_unmet(bundle, arm, form):
+    harms = CLOCKLESS if form == "osc" else tuple(h for h in CLOCKLESS if h.layer in ("none", "order") or "frozen" in h.name)
+    found = list(trials(bundle, arm, arm.connect(), form, harms))
+    assert len(found) == len(harms) > 10 and not [t for t in found if not t.met]
+    nothing = found[0]
+    assert (nothing.fault, nothing.outcome, nothing.seen) == ("nothing", "success", "")
+    assert all(t.seen for t in found if t.must in ("stop", "pass", "refuse"))
+
+
+def harm_named(name):
+    return next(harm for harm in HARMS if harm.name == name)
+
+
+def test_the_injector_sees_a_runtime_that_believes_everything(bundle, arm, monkeypatch):
+    """As it was before: under osc an arm whose state is frozen runs on to the horizon."""
+    monkeypatch.setattr(ArmLiveness, "check", lambda self, joints, place: ("", ""))
+    monkeypatch.setattr(ObjectLiveness, "check", lambda self, pose, grasp, closed: ("", ""))
+    harm = harm_named("whole state frozen, fresh stamp")
+    found = trial(bundle, arm, arm.connect(), "osc", harm, onsets(bundle)["moving"], EVALUATION_SEEDS)
+    assert not found.met and found.ticks is None and found.to_hold_mm > 100
+
+
+def test_a_frozen_arm_is_held_where_a_tick_of_motion_ends(bundle, arm):
+    for form in ("osc", "pose", "joint"):
+        found = trial(bundle, arm, arm.connect(), form, harm_named("whole state frozen, fresh stamp"), 6, EVALUATION_SEEDS)
+        assert found.ticks <= 1 and found.to_hold_mm < 30 and found.to_rest_mm < 60, found
+
+
+# -- signs of life, one at a time ----------------------------------------------------------------------------------------
+
+
+def lived(rows, travel, seed=None):
+    """What ArmLiveness says, tick by tick, of joints that are the first coordinates of the grasp frame."""
+    alive, said = ArmLiveness(), []
+    for row in rows:
+        place = np.append(row, 0.0) if len(row) == 5 else row
+        said.append(alive.check(place[:4], place)[0])
+        alive.sent(np.array([travel, 0, 0, 0, 0, 0]))
+    return said
+
+
+def along(steps):
+    return [np.array([x, 0, 0, 0, 0, 0]) for x in np.cumsum([0.0, *steps])]
+
+
+def test_an_arm_that_follows_late_is_alive():
+    for delay in (0, 1, 2):
+        assert not any(lived(along([1e-6] * delay + [0.01] * 20), 0.01)[delay + 1 :])
+
+
+def test_an_arm_at_rest_may_repeat_itself_for_ever():
+    assert not any(lived([np.zeros(6)] * 200, 0.0))
+
+
+def test_a_repeated_state_is_dead_once_it_should_have_moved():
+    assert lived([np.zeros(6)] * 4, 0.01) == ["", *["frozen_state"] * 3]
+    slow = lived([np.zeros(6)] * 6, 0.0005)
+    assert slow == ["", "", "", "frozen_state", "frozen_state", "frozen_state"], "slower than 1 cm/s, by count"
+
+
+def test_an_arm_that_goes_the_other_way_is_not_obeying():
+    assert "implausible_motion" in lived(along([-0.01] * 10), 0.01)
+
+
+def test_the_signs_of_life_of_a_camera():
+    rng, grasp = np.random.default_rng(0), np.array([0, 0, 1.0])
+    turn = np.array([1.0, 0, 0, 0])
+    noisy = [np.append([0, 0, 0.8] + rng.normal(0, 1e-3, 3), turn) for _ in range(8)]
+    camera = ObjectLiveness()
+    said = [camera.check(pose, grasp, False)[0] for pose in [*noisy, noisy[-1], noisy[-1], noisy[-1], noisy[0]]]
+    assert said == [""] * 9 + ["object_frozen", "object_frozen", ""], "held while it is dead, and let go when it lives"
+    quiet = ObjectLiveness()
+    assert not any(quiet.check(noisy[0], grasp, False)[0] for _ in range(100)), "without noise, at rest, nobody can tell"
+    slow = ObjectLiveness()
+    assert not any(slow.check(noisy[i // 3], grasp, False)[0] for i in range(20)), "7 Hz is slow, not dead"
+    turned = ObjectLiveness()
+    turned.check(noisy[0], grasp, False)
+    assert turned.check(np.append(noisy[0][:3], [0, 0, 0, 1.0]), grasp, False)[0] == "implausible"
+    assert ObjectLiveness().check(-noisy[0], grasp, False) == ("", "") and turned.check(np.append(noisy[0][:3], -turn), grasp, False)[0]
+
+
+def test_a_quaternion_and_its_opposite_are_one():
+    pose, camera = np.array([0, 0, 0.8, 1.0, 0, 0, 0]), ObjectLiveness()
+    camera.check(pose, np.zeros(3), False)
+    assert camera.check(np.append(pose[:3], -pose[3:]), np.zeros(3), False) == ("", "")
+
+
+# -- through the command -----------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_what_came_of_each(capsys):
+    main(["bench", "faults", "kinova3", "--form", "osc", "--only", "stamp", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["unmet"] == 0 and len(found["trials"]) == 5 and {row["layer"] for row in found["trials"]} == {"state", "stamp"}
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "faults", "--only", "no such fault"])
+    assert stop.value.code == 2 and "no fault is named 'no such fault'" in capsys.readouterr().err
+
+
+def test_processes_lines_and_disks(capsys):
+    main(["bench", "faults", "kinova3", "--form", "osc", "--only", "line", "--json"])
+    found = {row["fault"]: row for row in json.loads(capsys.readouterr().out)["trials"]}
+    assert {"twin killed", "twin hung", "policy killed", "policy silent", "a message of 2 GiB", "a second client"} <= set(found)
+    assert all(row["met"] for row in found.values()), [row for row in found.values() if not row["met"]]
+    assert faults.FULL_DISK.exists() is ("log on a full disk" in found)

@@ -1,0 +1,140 @@
+"""What a phase leaves behind is enough to play its episodes again, bit by bit."""
+
+import numpy as np
+import pytest
+
+from toolkit.errors import ToolkitError
+from toolkit.expert.shelf import load_expert
+from toolkit.inspection.film import contacts_of, shoot
+from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import Directions, Explored
+from toolkit.learning.policy import MeanActor
+from toolkit.runs.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
+from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.rollout import play
+
+D = 4
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return load_expert("adroit", "061_foam_brick")[0]
+
+
+def episode(seed, success=False, steps=5, distance=0.1, diverged=False):
+    last = np.zeros(38)
+    last[-3:] = distance / np.sqrt(3)
+    rewards = np.zeros(steps)
+    rewards[-1] = success
+    return Episode(np.zeros((steps, 38)), np.zeros((steps, 28)), rewards, success, diverged, True, last, np.full(D, 0.5), seed)
+
+
+def saw(witness, policy, episodes, update=0, noise=False):
+    witness.saw("path 1", "evolve", ["a"], np.zeros(D), [policy] * len(episodes), episodes, noise, update)
+
+
+def test_the_episodes_worth_seeing_are_picked(tmp_path, policy):
+    witness = Witness(tmp_path)
+    saw(witness, policy, [episode(0, True, 9), episode(1, False, distance=0.3), episode(2, True, 4), episode(3, False, distance=0.6)])
+    saw(witness, policy, [episode(4, True, 6)])
+    (phase,) = load_phases(tmp_path).values()
+    seeds = {role: phase.take(role).seed for role in ROLES}
+    assert seeds == {"first": 0, "last": 4, "best": 2, "worst": 3, "failure": 1}
+    assert len(phase.takes) == 5 and len(phase.policies) == 1, "one policy, kept once"
+
+
+def test_a_diverged_episode_is_the_worst(tmp_path):
+    assert score(episode(0, diverged=True)) == -np.inf < score(episode(0)) < score(episode(0, True))
+    assert score(episode(0, True, 3)) > score(episode(0, True, 8)), "the sooner the better"
+    assert score(episode(0, distance=0.1)) > score(episode(0, distance=0.2))
+
+
+def test_policies_that_no_kept_episode_was_played_by_go(tmp_path, policy):
+    witness, learning = Witness(tmp_path), policy.copy()
+    for update in range(6):
+        saw(witness, learning, [episode(update, True, 9 - update)], update, noise=True)
+        learning.set_parameters(learning.parameters + 1e-3)
+    (phase,) = load_phases(tmp_path).values()
+    assert {take.update for take in phase.takes} == {0, 5} and len(phase.policies) == 2
+    assert phase.take("last").update == 5 and phase.take("worst").update == 0
+    np.testing.assert_array_equal(phase.play_as(phase.take("first"), policy).parameters, policy.parameters)
+
+
+def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
+    """A killed run plays its last batch again when it is resumed."""
+    batches = [[episode(0, True, 9), episode(1)], [episode(2, True, 4), episode(3, False, distance=0.5)]]
+    straight, resumed = Witness(tmp_path / "a"), Witness(tmp_path / "b")
+    for run, witness in ((tmp_path / "a", straight), (tmp_path / "b", resumed)):
+        run.mkdir()
+        for update, batch in enumerate(batches):
+            saw(witness, policy, batch, update)
+    again = Witness(tmp_path / "b")
+    saw(again, policy, batches[1], 1)
+    phases = [load_phases(tmp_path / run)["path-1-000-evolve"] for run in "ab"]
+    assert len({tuple(phase.take(role).seed for role in ROLES) for phase in phases}) == 1
+
+
+def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, policy):
+    """A search plays one start with two policies; seen again after a kill, both are the episodes that they were."""
+    offset = np.full(38, 0.01)
+    directions = Directions(Explored(np.ones(38), np.zeros(1)), np.zeros((0, policy.hidden[-1] + 1)))
+    pair = [directions.moved(policy, offset), directions.moved(policy, -offset)]
+    for witness in (Witness(tmp_path), Witness(tmp_path)):
+        witness.saw("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
+    (phase,) = load_phases(tmp_path).values()
+    assert len(phase.takes) == len(phase.policies) == 2
+    for take, played in zip((phase.take("best"), phase.take("failure")), pair, strict=True):
+        assert take.seed == 7
+        np.testing.assert_array_equal(phase.play_as(take, policy).layers().shift, played.layers().shift)
+
+
+def test_phases_count_on_where_each_path_was(tmp_path, policy):
+    witness = Witness(tmp_path, {"path 1": 2})
+    saw(witness, policy, [episode(0)])
+    ended = witness.ends("path 1", "evolve", ["a"], np.zeros(D), np.ones(D))
+    assert ended.name == "path-1-002-evolve" and load_phases(tmp_path)["path-1-002-evolve"].end.tolist() == [1.0] * D
+    assert witness.phase("path 1", "settle", ["a"], np.ones(D)).name == "path-1-003-settle"
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:40], lambda data: b"", lambda data: b"\0" * 100 + data])
+def test_a_damaged_phase_is_named(tmp_path, policy, damage):
+    Phase("path 1", 0, "evolve", ["a"], np.zeros(D)).save(tmp_path)
+    file = tmp_path / FOLDER / "path-1-000-evolve.safetensors"
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(ToolkitError, match="truncated or not a phase"):
+        load_phase(file)
+
+
+def test_a_film_is_the_episode_again(merged, policy):
+    """Same policy, robot and seed: the same actions, bit by bit; contact forces hold the object against gravity."""
+    beta = merged.space.betas[0]
+    actor = MeanActor(policy)
+    played = play(merged_plant(merged, beta, *merged.new()), actor, 11, beta)
+    film = shoot(merged_plant(merged, beta, *merged.new()), actor, 11, beta)
+    np.testing.assert_array_equal(film.actions, played.actions)
+    assert film.success == played.success and film.verdict().startswith("success")
+    assert len(film.qpos) == played.steps + 1 == len(film.target) + 1
+    lifted = film.carried[1:, 2] - film.carried[0, 2] > 0.05
+    weight = film.model.body_mass[film.object_body] * 9.81
+    upward = np.array([force[:, 2].sum() for force in film.forces])
+    assert lifted.sum() > 10
+    assert np.median(upward[lifted]) == pytest.approx(weight, rel=0.25), "what carries the object is its weight"
+    assert all(robot.all() for robot, up in zip(film.by_robot, lifted, strict=True) if up), "in the air only the robot touches it"
+    reached = np.linalg.norm(film.target - film.grasp[1:], axis=1)
+    assert reached.max() < 0.09, f"OSC's target is at most one step ahead, {reached.max():.3f} m"
+
+
+def test_contacts_push_a_resting_box_up():
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
+    box = spec.worldbody.add_body(name="box", pos=[0, 0, 0.05])
+    box.add_freejoint()
+    box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.05] * 3, mass=2.0)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 500)
+    points, forces, moving = contacts_of(model, data, model.body("box").id)
+    assert len(points) == 4 and not moving.any() and np.abs(points[:, 2]).max() < 1e-3
+    np.testing.assert_allclose(forces.sum(axis=0), [0, 0, 2.0 * 9.81], atol=1e-3)

@@ -1,0 +1,150 @@
+"""Success where it is claimed: on F(beta), and on the unmodified robosuite robot through robosuite's own env.step."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.stats import binomtest
+
+from robots.robot import Robot
+from tasks.pick import PickTask
+from toolkit.bundle.reading import Bundle, load_bundle
+from toolkit.errors import ToolkitError
+from toolkit.learning.policy import GaussianPolicy, MeanActor
+from toolkit.morphology.native_scene import model_sha256
+from toolkit.quiet import start_worker
+from toolkit.runs.seeds import EVALUATION_SEEDS
+from toolkit.simulation.native import NativeRobot
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Success of a policy on one robot.
+
+    Attributes:
+        target: robot.  env: "native" (robosuite's own robot and step), "native-compiled" (its own robot, the compiled control
+            step) or "merged" (F(beta)).
+        successes, episodes, diverged: counts.
+        seed: of the first episode; the others follow.
+    """
+
+    target: str
+    env: Literal["native", "native-compiled", "merged"]
+    episodes: int
+    successes: int
+    diverged: int
+    seed: int
+
+    @property
+    def success_rate(self) -> float:
+        """Share of successful episodes."""
+        return self.successes / self.episodes
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """95 % Wilson interval of the success rate (Wilson 1927)."""
+        interval = binomtest(self.successes, self.episodes).proportion_ci(0.95, method="wilson")
+        return float(interval.low), float(interval.high)
+
+    def to_json(self) -> dict:
+        """The contract of ``meta-evolve evaluate --json``."""
+        return {
+            "target": self.target, "env": self.env, "episodes": self.episodes, "successes": self.successes,
+            "success_rate": self.success_rate, "ci95": list(self.ci95), "diverged": self.diverged, "seed": self.seed,
+        }  # fmt: skip
+
+
+def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, episodes: int, seed: int = 0) -> Evaluation:
+    """Success of the policy's mean action on F(beta) of ``target``, on seeds that training never saw."""
+    beta = engine.merged.space.beta(target)
+    seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
+    played = engine.play(MeanActor(policy), [beta] * episodes, seeds)
+    return Evaluation(target, "merged", episodes, sum(e.success for e in played), sum(e.diverged for e in played), seeds[0])
+
+
+def evaluate_compiled(policy: GaussianPolicy, robot: Robot, task: PickTask, episodes: int, seed: int = 0) -> Evaluation:
+    """As ``evaluate_native``, on the same seeds, with the compiled control step in place of robosuite's: some ten times faster."""
+    seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
+    engine = NativeEngine(robot, task)
+    played = engine.play(MeanActor(policy), [np.zeros(1)] * episodes, seeds)
+    engine.close()
+    successes, diverged = (sum(getattr(e, key) for e in played) for key in ("success", "diverged"))
+    return Evaluation(robot.name, "native-compiled", episodes, successes, diverged, seeds[0])
+
+
+_robots: dict[tuple[str, str], NativeRobot] = {}
+_bundles: dict[Path, Bundle] = {}
+
+
+def _play_natively(job: tuple[Robot, PickTask, GaussianPolicy | Path, int]) -> bool:
+    robot, task, policy, seed = job
+    key = (robot.name, task.name)
+    if key not in _robots:
+        _robots[key] = NativeRobot(robot, task)
+    if isinstance(policy, Path):
+        if policy not in _bundles:
+            _bundles[policy] = load_bundle(policy)
+            _same_model(_bundles[policy], _robots[key])
+        return _robots[key].play(_bundles[policy], seed, native=True)
+    return _robots[key].play(policy.mean, seed)
+
+
+def _same_model(bundle: Bundle, native: NativeRobot) -> None:
+    """Refuse a bundle whose robot is not the one that robosuite has here."""
+    wanted, found = bundle.manifest.robot.model_sha256, model_sha256(native.model)
+    if wanted != found:
+        versions = bundle.manifest.versions
+        raise ToolkitError(
+            f"robot {native.robot.name!r} is not the model that bundle {bundle.path} was made on (digest {found[:12]}..., not "
+            f"{wanted[:12]}...); it was made with robosuite {versions.get('robosuite')} and mujoco {versions.get('mujoco')}"
+        )
+
+
+def evaluate_native(
+    policy: GaussianPolicy | Path,
+    robot: Robot,
+    task: PickTask,
+    episodes: int,
+    seed: int = 0,
+    processes: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, successes: None,
+) -> Evaluation:
+    """Success of the policy's mean action on the unmodified robosuite robot, through env.step.
+
+    Args:
+        policy: the policy, or the path of a bundle whose ONNX graph then plays alone.
+        robot, task: what is evaluated.
+        episodes: how many.
+        seed: shifts the seeds.
+        processes: default: the machine's cores (robosuite's step is Python, so threads would not help).
+        progress: called with episodes done and successes so far.
+    """
+    seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
+    jobs = [(robot, task, policy, s) for s in seeds]
+    workers = processes or len(os.sched_getaffinity(0))
+    successes = 0
+    for done, success in enumerate(_outcomes(jobs, workers), start=1):
+        successes += success
+        progress(done, successes)
+    return Evaluation(robot.name, "native", episodes, successes, 0, seeds[0])
+
+
+def _outcomes(jobs: Sequence[tuple], workers: int) -> Iterator[bool]:
+    if workers == 1 or len(jobs) < 4:
+        yield from map(_play_natively, jobs)
+        return
+    try:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
+            yield from pool.map(_play_natively, jobs, chunksize=2)
+    except BrokenProcessPool:
+        raise ToolkitError(
+            f"one of {workers} processes that evaluate was killed, perhaps for want of memory, and its episodes are not known; free "
+            "memory and evaluate again"
+        ) from None

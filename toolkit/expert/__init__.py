@@ -1,0 +1,1 @@
+"""The source's expert: trained from demonstrations, and kept by name."""

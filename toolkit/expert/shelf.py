@@ -1,0 +1,92 @@
+"""Experts by name: those that are shipped, and how one is kept and loaded."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tasks.pick import ACTION, OBSERVATION, PickTask
+from toolkit.errors import ToolkitError
+from toolkit.io.quoting import told
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
+
+
+def entry_names(record: dict[str, int]) -> list[str]:
+    """One name per number of a record: "name" or "name[k]"."""
+    return [name if size == 1 else f"{name}[{k}]" for name, size in record.items() for k in range(size)]
+
+
+SHIPPED = Path(__file__).parent / "shipped"
+"""Folder of the experts that come with the package."""
+
+
+def narrow_task(task: PickTask) -> PickTask:
+    """The task with the small start noise, +-1 cm and no yaw, for which an expert of the wide one serves as well."""
+    return replace(task, noise_xy=min(task.noise_xy, 0.01), noise_yaw=0.0)
+
+
+POLICY_FILE = ".policy.safetensors"
+"""Ends the name of a policy's file, in SHIPPED and in a run folder."""
+RECORDED = "-recordings"
+"""Ends the name of an expert that learned from recordings of hands."""
+
+
+def expert_files(source: str, task: str) -> tuple[Path, Path]:
+    """Files of the shipped expert's policy and value function: the task's own, or those of its wide variant.
+
+    One that was scripted goes before one that learned from recordings.
+    """
+    names = [f"{source}-{task}{wide}{kind}" for kind in ("", RECORDED) for wide in ("", "-wide")]
+    name = next((name for name in names if (SHIPPED / f"{name}{POLICY_FILE}").is_file()), names[0])
+    return SHIPPED / f"{name}{POLICY_FILE}", SHIPPED / f"{name}.value.safetensors"
+
+
+def shipped_experts() -> list[str]:
+    """Names of the experts that come with the package, sorted."""
+    return sorted(file.name.removesuffix(POLICY_FILE) for file in SHIPPED.glob(f"*{POLICY_FILE}"))
+
+
+def shipped_pair(name: str) -> tuple[str, str]:
+    """Source and task of a shipped expert's name."""
+    source, _, task = name.removesuffix(RECORDED).partition("-")
+    return source, task
+
+
+def save_expert(policy: GaussianPolicy, value: ValueFunction, folder: Path, name: str, card: dict[str, Any]) -> None:
+    """Write policy, value function and a card that says how they came about."""
+    folder.mkdir(parents=True, exist_ok=True)
+    policy.save(folder / f"{name}{POLICY_FILE}")
+    value.save(folder / f"{name}.value.safetensors")
+    (folder / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
+
+
+def taught_by_hands(source: str, task: str) -> str | None:
+    """Name of the shipped expert that learned a task from recordings of hands, None where there is none."""
+    names = [f"{source}-{task}{wide}{RECORDED}" for wide in ("-wide", "")]
+    return next((name for name in names if name in shipped_experts()), None)
+
+
+def load_expert(source: str, task: str, name: str | None = None) -> tuple[GaussianPolicy, ValueFunction]:
+    """The expert of a source robot and a task.
+
+    Args:
+        source, task: for which one is shipped.
+        name: another one: of a shipped expert, or of the files of one's own without their endings.
+
+    Raises:
+        ToolkitError: there is none; the sentence gives the command that trains one.
+    """
+    folder = SHIPPED if name is None or name in shipped_experts() else Path()
+    policy_file, value_file = expert_files(source, task) if name is None else (
+        folder / f"{name}{POLICY_FILE}", folder / f"{name}.value.safetensors")  # fmt: skip
+    if name is not None and not policy_file.is_file():
+        raise ToolkitError(
+            f"there is no expert {name!r}: neither {policy_file} nor one of those that are shipped, {', '.join(shipped_experts())}"
+        )
+    if not policy_file.is_file():
+        raise ToolkitError(
+            f"no expert is shipped for source {source!r} and task {task!r}; there are: {', '.join(shipped_experts()) or 'none'}; "
+            f"train one with: {told('expert', '--source', source, '--task', task)}"
+        )
+    policy = GaussianPolicy.load(policy_file, entry_names(OBSERVATION), entry_names(ACTION))
+    return policy, ValueFunction.load(value_file, entry_names(OBSERVATION))

@@ -1,0 +1,1 @@
+"""A bundle made: the unmodified robot measured, described and packed, and served over a socket."""

@@ -1,0 +1,215 @@
+"""What a bundle says about its robot, measured on the unmodified robosuite robot: ranges, response, gripper.
+
+The policy plays the robot; its robot answers single deltas; its empty gripper closes.
+"""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grippers.gripper import COMMANDED_ROLES
+from robots.robot import Robot
+from tasks.pick import START_ROTATION
+from toolkit.bundle.manifest import Gripper, Response, Vector
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
+from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
+from toolkit.simulation.plant import CLOSING, Plant
+from toolkit.simulation.rollout import Tape, play
+
+RESPONSE_STEPS, RESPONSE_AMPLITUDE = 12, 0.5
+"""Policy steps over which an impulse is followed, and its action; beyond, the arm's posture pulls it back."""
+GRIPPER_COMMANDS, GRIPPER_TIME = 21, 1.0
+"""Closing commands at which the empty gripper is measured, and the time [s] it is given at each."""
+CLAMP = 1e6
+"""Armature [kg m^2] and damping [N m s/rad] that hold the arm still while the gripper moves."""
+
+
+def rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) [rad] of a rotation matrix (3, 3)."""
+    quaternion, out = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    mujoco.mju_quat2Vel(out, quaternion, 1.0)
+    return out
+
+
+def grasp_coordinates(plant: Plant) -> np.ndarray:
+    """(6,) origin [m] of the grasp frame and its rotation vector [rad] from the start rotation, in the task frame."""
+    site = plant.model.site(GRIP_SITE).id
+    return np.append(plant.data.site_xpos[site], rotation_vector(plant.data.site_xmat[site].reshape(3, 3) @ START_ROTATION.T))
+
+
+# ---- episodes --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Played:
+    """What episodes on the native robot looked like; lists hold one array per episode.
+
+    Attributes:
+        observations: (T, n_obs).  actions: (T, n_act) of the record.
+        qpos: (T + 1, nq).  speeds, efforts: (T, n_arm) [rad/s, N m] at the end of each step.
+        grasp: (T + 1, 6) grasp_coordinates.  clearance: smallest height [m] of the gripper's shapes above the table.
+        success: share of successful episodes.
+    """
+
+    observations: list[np.ndarray]
+    actions: list[np.ndarray]
+    qpos: list[np.ndarray]
+    speeds: list[np.ndarray]
+    efforts: list[np.ndarray]
+    grasp: list[np.ndarray]
+    clearance: float
+    success: float
+
+
+def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, lowest: Callable[[np.ndarray], float]) -> Played:
+    """Play episodes and keep what the manifest needs.
+
+    Args:
+        plant: the native robot.
+        policy: who plays.
+        seeds: of the episodes.
+        noisy: with the exploration noise of training.
+        lowest: height [m] of the gripper's lowest point at a configuration (nq,).
+    """
+    model, arm = plant.model, arm_joints(plant.model)
+    dofs, by_joint = model.jnt_dofadr[arm], {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
+    motors = [by_joint[joint] for joint in arm]
+    out = Played([], [], [], [], [], [], np.inf, 0.0)
+    height, succeeded = np.inf, 0
+    for seed in seeds:
+        rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+        def seen(observation: np.ndarray, rng: np.random.Generator, rows: list = rows) -> np.ndarray:
+            rows.append((plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant)))
+            return policy.act(observation, rng) if noisy else policy.mean(observation)
+
+        tape = Tape(qpos=[])
+        episode = play(plant, seen, seed, np.zeros(0), tape)
+        last = (plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant))
+        speeds, efforts, grasp = (np.array(column) for column in zip(*rows, last, strict=True))
+        succeeded += episode.success
+        height = min(height, *(lowest(row) for row in tape.qpos))
+        for kept, value in (
+            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(tape.qpos)),
+            (out.speeds, speeds[1:]), (out.efforts, efforts[1:]), (out.grasp, grasp),
+        ):  # fmt: skip
+            kept.append(value)
+    return Played(out.observations, out.actions, out.qpos, out.speeds, out.efforts, out.grasp, height, succeeded / len(seeds))
+
+
+def largest_step(rows: list[np.ndarray]) -> np.ndarray:
+    """Largest change (n,) between consecutive rows of the episodes' (T, n) arrays."""
+    return np.max([np.abs(np.diff(episode, axis=0)).max(axis=0, initial=0.0) for episode in rows], axis=0)
+
+
+def record_episode(plant: Plant, robot: Robot, policy: GaussianPolicy, seed: int) -> tuple[dict[str, np.ndarray], bool]:
+    """A closed-loop episode as an arm and cameras would report it, one row per tick, and whether it succeeded.
+
+    Arrays: episode_joints (T, n), episode_fingers (T, m) [rad], episode_object_position (T, 3), episode_object_quaternion (T, 4),
+    episode_goal (3,), episode_command (T,) the closing command, episode_observations (T, n_obs).
+    """
+    model, data = plant.model, plant.data
+    joints = [model.joint(j).name for j in range(model.njnt)]
+    arm = model.jnt_qposadr[arm_joints(model)]
+    fingers = model.jnt_qposadr[[j for j, name in enumerate(joints) if name.startswith(GRIPPER_PREFIX)]]
+    item = model.body(plant.env.item.root_body).id
+    rows: list[tuple] = []
+
+    def seen(_: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        mujoco.mj_kinematics(model, data)  # after a step, MuJoCo's poses are a substep older than its angles
+        observation = plant.observe()
+        rows.append((data.qpos[arm].copy(), data.qpos[fingers].copy(), data.xpos[item].copy(), data.xquat[item].copy(),
+                     plant.command[CLOSING].mean(), observation))  # fmt: skip
+        return policy.mean(observation)
+
+    episode = play(plant, seen, seed, np.zeros(0))
+    names = ("joints", "fingers", "object_position", "object_quaternion", "command", "observations")
+    arrays = {f"episode_{name}": np.array(column, float) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+    return arrays | {"episode_goal": np.array(plant.goal, float)}, episode.success
+
+
+# ---- the arm's answer ------------------------------------------------------------------------------------------------
+
+
+def measure_response(plant: Plant) -> Response:
+    """The impulse response of each axis: one delta from rest at the start, then none.
+
+    Half an action is far from the joint torques' limits on every arm; a full one reaches them on weak wrists.
+    """
+    rows = []
+    scale = np.repeat([POSITION_SCALE, ROTATION_SCALE], 3)
+    for axis in range(6):
+        plant.begin(0)
+        before, row = grasp_coordinates(plant), []
+        for step in range(RESPONSE_STEPS):
+            action = np.zeros(6 + len(COMMANDED_ROLES))
+            action[axis] = RESPONSE_AMPLITUDE if step == 0 else 0.0
+            plant.step(action)
+            after = grasp_coordinates(plant)
+            row.append(float((after - before)[axis] / scale[axis] / RESPONSE_AMPLITUDE))
+            before = after
+        rows.append(tuple(row))
+    return Response(tuple(rows), tuple(sum(row) for row in rows), RESPONSE_AMPLITUDE)
+
+
+# ---- the gripper -----------------------------------------------------------------------------------------------------
+
+
+def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
+    """Opening and joint angles of the empty gripper over its closing command, the arm held still."""
+    model = copy.copy(plant.model)
+    arm = model.jnt_dofadr[arm_joints(model)]
+    model.dof_armature[arm], model.dof_damping[arm] = CLAMP, CLAMP
+    data = mujoco.MjData(model)
+    plant.begin(0)
+    data.qpos[:] = plant.data.qpos
+    item = int(model.body(plant.env.item.root_body).jntadr[0])
+    data.qpos[model.jnt_qposadr[item] : model.jnt_qposadr[item] + 3] = (3.0, 3.0, 1.0)
+    joints, actuators = role_joints(model, robot), role_actuators(model, robot)
+    outer = {side: _outermost(model, [joint for role, joint in joints.items() if role.startswith("TH") == (side == "thumb")])
+             for side in ("thumb", "fingers")}  # fmt: skip
+    fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
+    commands = np.linspace(-1.0, 1.0, GRIPPER_COMMANDS)
+    openings, angles = [], []
+    for command in commands:
+        data.ctrl[[actuators[role] for role in robot.gripper.targets]] = plant.law.targets(np.full(len(COMMANDED_ROLES), command))
+        mujoco.mj_step(model, data, int(GRIPPER_TIME / model.opt.timestep))
+        mujoco.mj_forward(model, data)
+        gaps = [mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in outer["thumb"] for b in outer["fingers"]]
+        openings.append(max(0.0, min(gaps)))
+        angles.append(vector(data.qpos[model.jnt_qposadr[fingers]]))
+    openings = np.minimum.accumulate(openings)
+    return Gripper(
+        law="command = clip(command + rate * sign(action), -1, 1)", rate=float(robot.gripper.rate),
+        preshape=float(robot.gripper.preshape), open_sign=-1, close_sign=1,
+        targets={robot.gripper.joints[role]: tuple(map(float, pair)) for role, pair in robot.gripper.targets.items()},
+        command=tuple(commands.tolist()), opening_m=tuple(float(o) for o in openings),
+        joints=tuple(model.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in fingers),
+        joint_units=tuple("m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad" for j in fingers),
+        joint_positions=tuple(angles),
+        fraction="opening_m / opening_m[0]: 1 open, 0 touching",
+    )  # fmt: skip
+
+
+def _outermost(model: mujoco.MjModel, joints: list[int]) -> list[int]:
+    """Collision geoms of the links of these joints that carry no other of these joints."""
+    bodies = {int(model.jnt_bodyid[joint]) for joint in joints}
+    parents = {int(model.body_parentid[body]) for body in bodies}
+    # An inner knuckle ends in no pad: of the last bodies, those with a primitive for a pad count, if there are any.
+    geoms = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] in bodies - parents and model.geom_group[g] == 0]
+    pads = [g for g in geoms if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_MESH]
+    return pads or geoms
+
+
+# ---- the robot's model -----------------------------------------------------------------------------------------------
+
+
+def vector(values: ArrayLike) -> Vector:
+    """Numbers of any shape, one after another, as the manifest holds them."""
+    return tuple(float(value) for value in np.ravel(values))

@@ -1,0 +1,250 @@
+"""Whole recordings: a run rebuilt from its folder, a running one followed, a morph, two robots side by side."""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from toolkit.errors import ToolkitError
+from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.film import Film, shoot
+from toolkit.inspection.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
+from toolkit.inspection.recording.layout import pages_layout, quiet_layout, robot_view
+from toolkit.inspection.recording.learning import flat_curves
+from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
+from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.story import Cost, Story, story_layout
+from toolkit.inspection.recording.stream import FILM, Stream
+from toolkit.inspection.recording.viewer import chunks_of
+from toolkit.io.quoting import markdown
+from toolkit.learning.policy import GaussianPolicy, MeanActor
+from toolkit.morphology.build import MergedRobot
+from toolkit.runs.phases import Phase, Take
+from toolkit.runs.run import Run, continuing, read_tree, transfer_records
+from toolkit.simulation.plant import Plant, merged_plant
+from toolkit.transfer.settings import CHECKING_SEEDS
+
+POLL = 1.0
+"""[s] between two looks at a running transfer's folder."""
+APART = 0.95
+"""[m] between two robots that stand side by side."""
+FRONT = np.array([0.75, 0.0, 1.3]), np.array([-0.25, 0.0, 1.12])
+"""Where robots side by side are seen from, and the point looked at [m]."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What it takes to play a run again.
+
+    Attributes:
+        folder: the run's.
+        merged: its merged robot in its task.
+        policy: any policy of its networks.
+        native: target name -> its unmodified robosuite robot as a plant.
+        trained: target name -> final policy, of the targets that are reached.
+    """
+
+    folder: Path
+    merged: MergedRobot
+    policy: GaussianPolicy
+    native: Callable[[str], Plant]
+    trained: dict[str, GaussianPolicy]
+
+    def tree(self) -> dict[str, Any]:
+        """The evolution tree of the run folder.
+
+        Raises:
+            ToolkitError: it is missing, damaged, or was made in another evolution space.
+        """
+        tree = read_tree(self.folder)
+        sizes = {len(node["alpha"]) for node in tree["nodes"]}
+        if sizes != {self.merged.space.size}:
+            raise ToolkitError(
+                f"{self.folder / 'tree.json'} has {', '.join(map(str, sorted(sizes)))} evolution dimensions, today's robots "
+                f"{self.merged.space.size}: the run is of another version; look at its recording without --rebuild"
+            )
+        return tree
+
+
+def rebuild(known: Known, out: Path | None = None) -> Cost:
+    """Make a run's recording anew, from the run folder alone.
+
+    Args:
+        known: the run.
+        out: the file; default: the run's recording.rrd, replaced when the new one is whole.
+    """
+    path = out or known.folder / "recording.rrd"
+    temporary = path.with_name(f".{path.stem}.new.rrd")
+    tree = known.tree()
+    run = Run.open(known.folder)
+    records = transfer_records(run)
+    story = Story(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native, records=records)
+    if story.cost.known == 0:
+        for phase in _last_phases(known):
+            story.append(phase)
+    story.summary(_summary(known.folder, records))
+    cost = story.finish()
+    os.replace(temporary, path)
+    return cost
+
+
+def page_layout(folder: Path, recording: Path, page: str | None, excerpt: bool = False) -> rrb.Blueprint:
+    """The layout of one page alone, or of all, to be opened with a run's recording, or with an excerpt of it."""
+    chunks = list(chunks_of(recording))
+    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks), page, excerpt, flat_curves(chunks))
+
+
+def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
+    """Tell a running transfer to a viewer, record by record, until it has its report.
+
+    Args:
+        known: the run.
+        viewer: address of a viewer's proxy.
+        until: asked between two looks; True ends it.
+    """
+    story = Story(Stream(viewer), known.folder, known.merged, known.tree(), known.policy, known.native)
+    told = 0
+    while not until():
+        records = transfer_records(Run.open(known.folder))
+        for record in records[told:]:
+            story.tell(record)
+        told = max(told, len(records))  # a resumed transfer drops records, and writes the very same again
+        if (known.folder / "report.json").exists():
+            story.summary(_summary(known.folder, records))
+            break
+        time.sleep(POLL)
+    story.finish()
+
+
+def morph(merged: MergedRobot, source: str, targets: Sequence[str], path: Path, tree: dict[str, Any], frames: int = 60) -> None:
+    """The source turning into each target along the tree, without any policy.
+
+    Args:
+        merged: of the source and its targets.
+        source, targets: names.
+        path: the .rrd file.
+        tree: as in tree.json.
+        frames: per target.
+    """
+    stream = Stream(path)
+    wardrobe = Wardrobe(merged.space.matching)
+    casting, plan = Casting(merged, wardrobe), Plan(tree)
+    page, scene = EvolutionPage(stream, plan, merged.space), Scene(stream, merged, wardrobe)
+    stream.arrange(pages_layout(lambda: {"scene": robot_view("Robot")} | evolution_views(plan, alpha_extent(merged.space)), "morph"))
+    clock = 0.0
+    for number, target in enumerate(targets):
+        alphas = _along(plan, source, target, frames)
+        times = clock + np.arange(frames) / 20.0
+        iterations = number * frames
+        scene.show(times, iterations, [casting.standing(alphas)])
+        scene.label(clock, iterations, [f"{source} to {target}"])
+        edges = _edges_to(plan, source, target)
+        for edge in edges:
+            own = [k for k, alpha in enumerate(alphas) if _nearest(plan, edges, alpha) is edge]
+            if own:
+                page.visit(times[own], iterations, alphas[own], sorted(plan.below[edge["to"]]))
+        clock = float(times[-1]) + 1.0
+    stream.close()
+
+
+def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> list[Film]:
+    """The final policies of two targets, or of two runs, side by side in one scene, from the same seed on F(beta).
+
+    Args:
+        sides: (label, run, target) of each; the first run's merged robot knows all targets.
+        path: the .rrd file.
+        seed: of the start.
+    """
+    merged = sides[0][1].merged
+    stream = Stream(path)
+    wardrobe = Wardrobe(merged.space.matching)
+    casting = Casting(merged, wardrobe)
+    middle = (len(sides) - 1) / 2
+    offsets = [np.array([0.0, APART * (k - middle), 0.0]) for k in range(len(sides))]
+    scene = Scene(stream, merged, wardrobe, offsets)
+    pages = [RolloutsPage(stream, merged.task.goal_tolerance, _side(k)) for k in range(len(sides))]
+    films, casts = [], []
+    for _, known, target in sides:
+        if target not in known.trained:
+            raise ToolkitError(f"{known.folder} has no policy for {target!r} yet; it has: {', '.join(known.trained) or 'none'}")
+        policy, beta = known.trained[target], merged.space.beta(target)
+        film = shoot(merged_plant(merged, beta, *merged.new()), MeanActor(policy), seed, beta)
+        films.append(film)
+        casts.append(casting.playing(film, beta))
+    stream.arrange(compare_layout([label for label, _, _ in sides]))
+    times = films[0].interval * np.arange(max(len(film.qpos) for film in films))
+    scene.show(times, 0, casts)
+    scene.act(times, 0, films)
+    scene.label(0.0, 0, [f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)])
+    for page, (label, _, _), film in zip(pages, sides, films, strict=True):
+        page.act(times[: len(film.qpos)], 0, film)
+        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise: **{film.verdict()}.**")
+    stream.close()
+    return films
+
+
+def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprint:
+    """The layout of a comparison, or of an excerpt of one."""
+    views = [rollouts_views(_side(k), excerpt) for k in range(len(labels))]
+    columns = [rrb.Vertical(view["caption"], view["distance"], view["position"], view["grip"], row_shares=[1, 2, 2, 2], name=label)
+               for label, view in zip(labels, views, strict=True)]  # fmt: skip
+    scene = robot_view("Side by side, same seed: " + " | ".join(labels), FRONT)
+    return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[6, 5]), FILM)
+
+
+def _side(k: int) -> str:
+    return f"side-{k + 1}"
+
+
+def _last_phases(known: Known) -> Iterator[Phase]:
+    """For a run without phases (an older version's): the straight way to each target, and two episodes at its end."""
+    source = known.merged.space.betas[0]
+    for name, policy in known.trained.items():
+        beta = known.merged.space.beta(name)
+        layers = policy.layers()
+        stored = {"parameters": policy.parameters, "shift": np.array(layers.shift), "scale": np.array(layers.scale)}
+        takes = [Take(CHECKING_SEEDS + k, False, False, False, 0, 0.0, 0, 0, beta, [role]) for k, role in enumerate(("first", "last"))]
+        yield Phase(f"to {name}", 0, "evolve", [name], source, beta, [stored], takes)
+
+
+def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
+    if (folder / "summary.md").exists():
+        return (folder / "summary.md").read_text(encoding="utf-8", errors="replace")
+    arrived = [record["target"] for record in records if record["event"] == "arrived"]
+    return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {markdown(', '.join(arrived)) or 'none yet'}. "
+            f"Continue it with `{continuing(folder)}`.")  # fmt: skip
+
+
+def _edges_to(plan: Plan, source: str, target: str) -> list[dict[str, Any]]:
+    into = {edge["to"]: edge for edge in plan.edges}
+    way, node = [], target
+    while node in into and node != source:
+        way.append(into[node])
+        node = into[node]["from"]
+    return way[::-1]
+
+
+def _along(plan: Plan, source: str, target: str, frames: int) -> np.ndarray:
+    """(frames, D) robots on the way from the source to a target along the tree, evenly by L2 distance."""
+    names = [source, *(edge["to"] for edge in _edges_to(plan, source, target))]
+    corners = np.array([plan.nodes[name]["alpha"] for name in names], float)
+    reach = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    spots = np.linspace(0.0, reach[-1], frames)
+    return np.clip(np.stack([np.interp(spots, reach, corners[:, k]) for k in range(corners.shape[1])], axis=1), 0.0, 1.0)
+
+
+def _nearest(plan: Plan, edges: list[dict[str, Any]], alpha: np.ndarray) -> dict[str, Any]:
+    """The edge of a way on which a robot alpha (D,) lies."""
+
+    def detour(edge: dict[str, Any]) -> float:
+        start, end = (np.array(plan.nodes[edge[key]]["alpha"]) for key in ("from", "to"))
+        return np.linalg.norm(alpha - start) + np.linalg.norm(end - alpha) - np.linalg.norm(end - start)
+
+    return min(edges, key=detour)
+

@@ -1,0 +1,189 @@
+"""A run as a film that plays anywhere: every path's robots turning into one another, then its episodes worth seeing.
+
+MP4 with VP9, which every browser plays and which OpenCV, robosuite's own dependency, writes without a program beside it; or GIF.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from toolkit.errors import ToolkitError
+from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.film import shoot
+from toolkit.inspection.recording.scene import Cast, Casting
+from toolkit.inspection.report.stills import Studio
+from toolkit.io.jsonfiles import read_object, require
+from toolkit.io.quoting import plain
+from toolkit.learning.policy import GaussianPolicy, MeanActor
+from toolkit.morphology.build import MergedRobot
+from toolkit.runs.phases import Phase, Take, landmarks, load_phases
+from toolkit.runs.run import read_report
+from toolkit.simulation.plant import Plant, merged_plant
+
+SIZE = 720, 540
+"""Width and height [pixels]."""
+RATE = 20.0
+"""Frames per second; an episode plays as fast as it was."""
+TURNING, REST = 3.0, 0.8
+"""[s] of a path's robots turning into one another, and of a picture that stands still."""
+GIF_EVERY, GIF_WIDTH = 2, 480
+"""A GIF has every second picture, smaller: it is ten times larger than a film otherwise."""
+
+
+def write_video(
+    folder: Path, merged: MergedRobot, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Plant], out: Path,
+    progress: Callable[[str], None] = lambda what: None,
+) -> float:  # fmt: skip
+    """Write a run folder as a film.
+
+    Args:
+        folder: the run's; one that goes on, or was stopped, gives a film as far as it went.
+        merged: its merged robot in its task.
+        tree: as in tree.json.
+        policy: any policy of its networks.
+        native: target name -> its unmodified robosuite robot as a plant.
+        out: .mp4 or .gif.
+        progress: told what is being drawn.
+
+    Returns:
+        Its length [s].
+
+    Raises:
+        ToolkitError: the run keeps no episodes, nothing can be rendered here, or ``out`` cannot be written.
+    """
+    phases = sorted(load_phases(folder).values(), key=lambda phase: (phase.path, phase.number, phase.stage))
+    if not phases:
+        raise ToolkitError(f"{folder} keeps no phases to show (an older version's run, or none yet); transfer anew to have a film")
+    wardrobe = Wardrobe(merged.space.matching)
+    studio = Studio(merged, wardrobe, SIZE)
+    scenes = _scenes(_Stage(folder, merged, policy, native, Casting(merged, wardrobe)), phases, progress)
+    pictures = (picture for scene in scenes for picture in _drawn(studio, *scene))
+    try:
+        count = _write_gif(out, pictures) if out.suffix.lower() == ".gif" else _write_mp4(out, pictures)
+    finally:
+        studio.close()
+    return count / RATE
+
+
+class _Stage:
+    """What it takes to play a run's scenes; arguments as of ``write_video``."""
+
+    def __init__(
+        self, folder: Path, merged: MergedRobot, policy: GaussianPolicy, native: Callable[[str], Plant], casting: Casting
+    ) -> None:
+        self.folder, self.merged, self.policy, self.native, self.casting = folder, merged, policy, native, casting
+        self._plants: dict[str, Plant] = {}
+
+    def turning(self, phases: list[Phase]) -> Cast:
+        """The robots of a path's phases, evenly by distance."""
+        corners = np.array([phases[0].start, *(phase.start if phase.end is None else phase.end for phase in phases)])
+        reach = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+        spots = np.linspace(0.0, reach[-1], int(RATE * TURNING))
+        alphas = np.stack([np.interp(spots, reach, corners[:, k]) for k in range(corners.shape[1])], axis=1)
+        return self.casting.standing(np.clip(alphas, 0.0, 1.0))
+
+    def episode(self, phase: Phase, take: Take) -> tuple[Cast, np.ndarray, str]:
+        """An episode played again: its robot, its goal (3,) [m], and how it ended."""
+        policy = phase.play_as(take, self.policy)
+        actor = policy.act if take.noise else MeanActor(policy)
+        if phase.stage == "evolve":
+            film = shoot(merged_plant(self.merged, take.alpha, *self.merged.new()), actor, take.seed, take.alpha)
+            return self.casting.playing(film, take.alpha), film.goal, film.verdict()
+        name = phase.targets[0]
+        if name not in self._plants:
+            self._plants[name] = self.native(name)
+        film = shoot(self._plants[name], actor, take.seed, take.alpha)
+        return self.casting.native(film, name), film.goal, film.verdict()
+
+
+Scene = tuple[Cast, np.ndarray | None, str, Iterator[int]]
+"""Robots, goal or None, caption, and which of the robots' frames are shown."""
+
+
+def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None]) -> Iterator[Scene]:
+    rest = [0] * int(RATE * REST)
+    names = stage.merged.space.matching.names
+    report = read_report(stage.folder, ("targets",))
+    source = stage.casting.standing(stage.merged.space.betas[:1])
+    yield source, None, f"{names[0]}, the source, to {', '.join(names[1:])}\n{_untrained(stage.folder)}", iter(rest * 3)
+    every = landmarks([(phase, take) for phase in phases for take in phase.takes])
+    shown = [scene for scene in every if {"first", "failure", "last"} & set(scene[1].roles)]
+    learned = False
+    for path in dict.fromkeys(phase.path for phase in phases):
+        own = [phase for phase in phases if phase.path == path]
+        evolving = [phase for phase in own if phase.stage == "evolve"]
+        goals = ", ".join(own[-1].targets)
+        progress(f"{path}, to {goals}")
+        if evolving:
+            cast = stage.turning(evolving)
+            yield cast, None, f"{path}: the robot turns, on its way to {goals}", iter([*range(len(cast.weights)), *[-1] * len(rest)])
+        for phase, take in [scene for scene in shown if scene[0].path == path]:
+            cast, goal, verdict = stage.episode(phase, take)
+            where = f"a robot on the way to {goals}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
+            learned = learned or take.update > 0
+            trained = f"after {take.update} updates there" if take.update else "as it came there" if learned else "untrained"
+            yield cast, goal, f"{path}: {where}, {trained}\n{verdict}", iter([*range(len(cast.weights)), *[-1] * len(rest)])
+    for name, both in ((report or {}).get("targets") or {}).items():
+        cast = stage.casting.standing(stage.merged.space.beta(name)[None])
+        counts = f"{both['native']['successes']} of {both['native']['episodes']} unseen starts"
+        yield cast, None, f"{name}: success on {counts}, on the unmodified robot", iter(rest * 2)
+
+
+def _untrained(folder: Path) -> str:
+    """What the source's expert does on the targets as it is; empty where that was not measured."""
+    file = folder / "untrained.json"
+    found = read_object(file, "leave out --video") if file.is_file() else {}
+    require(found, {...: {"successes": int, "episodes": int}}, str(file), "leave out --video")
+    rates = [f"{name} {one['successes']} of {one['episodes']}" for name, one in found.items()]
+    return f"untrained on the unmodified robots: {', '.join(rates)}" if rates else ""
+
+
+def _drawn(studio: Studio, cast: Cast, goal: np.ndarray | None, text: str, frames: Iterator[int]) -> Iterator[Image.Image]:
+    """A scene's pictures; one that stands still is drawn once."""
+    before, picture = None, None
+    for frame in frames:
+        picture = picture if frame == before else _captioned(studio, cast, frame, goal, text)
+        before = frame
+        yield picture
+
+
+def _captioned(studio: Studio, cast: Cast, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
+    carried = None if goal is None else cast.carried[frame]
+    picture = Image.fromarray(studio.draw(cast.positions[frame], cast.quaternions[frame], cast.weights[frame], carried, goal))
+    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(size=19)
+    for line, words in enumerate(text.split("\n")):
+        pen.text((16, 12 + 26 * line), plain(words), fill=(25, 28, 34), font=font)
+    return picture
+
+
+def _write_mp4(out: Path, pictures: Iterator[Image.Image]) -> int:
+    """Returns how many pictures there were."""
+    writer = cv2.VideoWriter(str(out), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"vp09"), RATE, SIZE)
+    if not writer.isOpened():
+        raise ToolkitError(f"{out} cannot be written: this OpenCV writes no VP9; reinstall opencv-python, or name a .gif")
+    count = 0
+    try:
+        for picture in pictures:
+            writer.write(np.asarray(picture)[..., ::-1])
+            count += 1
+    finally:
+        writer.release()
+    if not out.is_file() or not out.stat().st_size:
+        raise ToolkitError(f"{out} cannot be written; free space there, or choose another place")
+    return count
+
+
+def _write_gif(out: Path, pictures: Iterator[Image.Image]) -> int:
+    """Returns how many pictures there were."""
+    size = GIF_WIDTH, round(GIF_WIDTH * SIZE[1] / SIZE[0])
+    every = list(pictures)
+    small = [picture.resize(size).quantize(64) for picture in every[::GIF_EVERY]]
+    try:
+        small[0].save(out, save_all=True, append_images=small[1:], duration=round(1000 * GIF_EVERY / RATE), loop=0, optimize=True)
+    except OSError as error:
+        raise ToolkitError(f"{out} cannot be written ({error.strerror or error}); free space there, or choose another place") from None
+    return len(every)

@@ -1,0 +1,17 @@
+"""Which seeds are for what: the first of a million of each purpose's own, so that no episode is measured that was trained on.
+
+A transfer's own stand in transfer/settings.py.
+"""
+
+DEMONSTRATION_SEEDS = 3 * 10**6
+"""The expert's demonstrations, and the choice among those who demonstrate."""
+EXPERT_SEEDS = 4 * 10**6
+"""The expert's training by NPG."""
+VISIT_SEEDS = 5 * 10**6
+"""Episodes of the clone that its teacher corrects."""
+SENSITIVITY_SEEDS = 7 * 10**6
+"""Short rollouts that weigh the evolution parameters, and the episodes that judge a metric."""
+SCRIPT_SEEDS = 8 * 10**6
+"""Episodes of the script on the robots of an audit."""
+EVALUATION_SEEDS = 10**9
+"""Evaluations, in simulation and on an arm; training and the schedule's own checks stay far below."""

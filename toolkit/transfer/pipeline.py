@@ -1,0 +1,392 @@
+"""A transfer from names to report: robots, space, tree, expert, training, evaluation, recording, in one run folder."""
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from robots.robot import Robot
+from tasks.pick import EXPLORED_DEVIATION, RESPONDING_DEVIATION, PickTask
+from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
+from toolkit.errors import ToolkitError
+from toolkit.evaluation.success import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
+from toolkit.evolution import EvolutionTree, Metric
+from toolkit.evolution.bend import Bend
+from toolkit.expert.shelf import POLICY_FILE, load_expert
+from toolkit.io.jsonfiles import read_object
+from toolkit.io.quoting import markdown
+from toolkit.learning.episode import Episode
+from toolkit.learning.exploration import Explored
+from toolkit.learning.npg import NpgConfig
+from toolkit.learning.policy import GaussianPolicy, ValueFunction
+from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.lab import Lab, check_roles
+from toolkit.runs.phases import Witness
+from toolkit.runs.run import Run, read_audit
+from toolkit.simulation.plant import Plant, native_plant
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.transfer.branch import Branch
+from toolkit.transfer.meta_evolve import Transfer
+from toolkit.transfer.settings import Method, TransferConfig
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # A small budget: the whole way in minutes, reported as it is.
+    "quick": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.9, "path_budget": 600, "check_episodes": 16,
+                           "goal_episodes": 20, "check_every": 3},
+              "npg": {"step_size": 0.01}, "evaluation_episodes": 40, "targets": ("kinova3", "iiwa")},
+    # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
+    "full": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.95, "check_every": 2,
+                          "path_budget": 15_000},
+             "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
+             "evaluation_episodes": 200},
+    # Every number from the paper's table.
+    "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
+}  # fmt: skip
+"""Preset name -> overrides of TransferConfig and NpgConfig, episodes of the final evaluation, and targets other than the usual three."""
+AUDITED = 5
+"""Robots per edge that are measured before a transfer begins."""
+ENOUGH = 0.8
+"""Success on a target from which on a policy has learned it (the paper's 80 %)."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a run is asked to do.
+
+    Attributes:
+        source: the robot that the expert was trained on.
+        targets: where its policy should go.
+        task: what it does.
+        transfer: the schedule.
+        evaluation_episodes: per target and robot, after training.
+        expert: name of the source's policy, as for `load_expert`; None: the one shipped for source and task.
+    """
+
+    source: Robot
+    targets: tuple[Robot, ...]
+    task: PickTask
+    transfer: TransferConfig = field(default_factory=TransferConfig)
+    evaluation_episodes: int = 200
+    expert: str | None = None
+
+    def __post_init__(self) -> None:
+        check_roles(self.source, self.targets)
+
+    def config(self) -> dict[str, Any]:
+        """As written to config.json, and compared on --resume."""
+        asked = {
+            "source": self.source.name, "targets": [robot.name for robot in self.targets], "task": self.task.name,
+            "transfer": asdict(self.transfer), "evaluation_episodes": self.evaluation_episodes,
+        }  # fmt: skip
+        return asked if self.expert is None else asked | {"expert": self.expert}
+
+
+def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **overrides: Any) -> TransferConfig:
+    """The schedule of a preset; fields of TransferConfig that are given and not None override the preset's.
+
+    Raises:
+        ToolkitError: an unknown preset.
+    """
+    if preset not in PRESETS:
+        raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
+    values = PRESETS[preset]["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
+    values |= {name: value for name, value in overrides.items() if value is not None}
+    if values.get("step") == "fixed" and overrides.get("learner") is None:
+        values["learner"] = "npg"  # the search goes with adaptive steps
+    if values.get("step") == "fixed" and overrides.get("path") is None:
+        values["path"] = "straight"  # as the paper's
+    return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
+
+
+class Recorder(Protocol):
+    """Whoever is told of a run, to show it: record by record, the summary at its end, and what the telling has cost."""
+
+    def tell(self, record: dict[str, Any]) -> None: ...
+
+    def summary(self, text: str) -> None: ...
+
+    def finish(self) -> Any: ...
+
+
+Begin = Callable[[Path, MergedRobot, dict[str, Any], GaussianPolicy, Callable[[str], Plant], list[dict[str, Any]]], Recorder]
+"""Begins to record a run: its folder, the merged robot, the tree as of tree.json, the expert, an unmodified target by its name, and the
+records that there are of a run that is taken up again."""
+
+
+class _Told:
+    """The recording of a run, and what it keeps to be seen: whatever becomes of them, the run goes on, and says so at its end.
+
+    Args:
+        folder: the run folder.
+        begin: makes the story.
+
+    Attributes:
+        trouble: the first thing that went wrong, in a sentence; empty if nothing did.
+    """
+
+    def __init__(self, folder: Path, begin: Callable[[], Recorder | None]) -> None:
+        self.folder, self.trouble = folder, ""
+        self._story = self._told(begin)
+
+    def tell(self, record: dict[str, Any]) -> None:
+        """See Story."""
+        if self._story is not None:
+            self._told(lambda: self._story.tell(record))
+
+    def summary(self, text: str) -> None:
+        """See Story."""
+        if self._story is not None:
+            self._told(lambda: self._story.summary(text))
+
+    def aside(self, act: Callable[[], Any]) -> None:
+        """Do what only helps to see the run."""
+        self._told(act, ends=False)
+
+    def note(self, trouble: str) -> None:
+        """Trouble that somebody else had with what only helps to see the run."""
+        self.trouble = self.trouble or trouble
+
+    def finish(self) -> Any:
+        """Close the recording; what it cost, or what went wrong with it in a sentence."""
+        story, self._story = self._story, None
+        cost = None if story is None else self._told(story.finish)
+        return cost if not self.trouble else f"the run is not fully recorded: {self.trouble}"
+
+    def _told(self, act: Callable[[], Any], ends: bool = True) -> Any:
+        try:
+            return act()
+        except (ToolkitError, OSError, RuntimeError, ValueError, MemoryError) as error:
+            self.trouble = self.trouble or " ".join(str(error).split()) or type(error).__name__
+            if ends:
+                self._story = None
+            return None
+
+
+class Pipeline:
+    """One run of a job: trains, evaluates, records; can be killed at any moment and resumed.
+
+    Args:
+        job: what to do.
+        folder: the run folder.
+        resume: continue the run that is there.
+        watch: called with every event of the transfer, for progress on a terminal.
+        record: begins the run's recording; None: there is none.
+    """
+
+    def __init__(
+        self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None,
+        record: Begin | None = None,
+    ) -> None:  # fmt: skip
+        policy, value = load_expert(job.source.name, job.task.name, job.expert)
+        self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
+        self.job, self.watch, self._begin = job, watch, record
+        try:
+            self._prepare(folder, resume, policy, value)
+        except Exception:
+            self.run.end(failed=True)
+            raise
+
+    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction) -> None:
+        """Measure and merge the robots, and take up what an earlier sitting has left."""
+        job = self.job
+        self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
+        self.lab = Lab(job.source, job.targets, job.task)
+        dump = folder / "divergence.npz"
+        self.engine = RolloutEngine(self.lab.merged, dump=dump)
+        self.untrained = self._untrained(policy)  # before the transfer's clock starts
+        self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
+        self._audit()
+        source, targets = self.lab.terminals()
+        native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
+        self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
+                                 Explored(EXPLORED_DEVIATION, RESPONDING_DEVIATION), self._bends())  # fmt: skip
+        if resume:
+            try:
+                self.transfer.restore()
+            except (LookupError, TypeError, ValueError, AttributeError) as error:
+                raise ToolkitError(
+                    f"the checkpoint in {folder} is damaged, or of another version ({error!r}); start a new run under another --run"
+                ) from None
+        self.run.write_json("tree", self.tree.to_json())
+        stalls = folder / "stalls.json"
+        self.stalls = read_object(stalls, "start the transfer again under another --run") if stalls.is_file() else {}
+        records = self.run.read_metrics()
+        moved = Counter(record["path"] for record in records if record["event"] == "moved")
+        self.witness = Witness(folder, moved)
+        self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
+        begin = lambda: self._begin(folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, records)  # noqa: E731
+        self.story = _Told(folder, begin if self._begin else lambda: None)
+
+    def play(self) -> dict[str, Any]:
+        """Transfer, evaluate, write everything; returns the report."""
+        with self.run.at_work():
+            return self._play()
+
+    def _play(self) -> dict[str, Any]:
+        try:
+            policies = self.transfer.meta_evolve()
+            for name, policy in policies.items():
+                policy.save(self.run.path / f"{name}{POLICY_FILE}")
+            evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
+            report = self._report(evaluations)
+            self.run.write_json("report", report)
+            self.story.aside(lambda: self.run.write_summary(summary(report, self.tree)))
+            self.story.summary(summary(report, self.tree))
+            return report
+        finally:
+            self.engine.close()
+            self.story.note(self.engine.trouble)
+            cost = self.story.finish()
+            self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.story.trouble)})
+
+    def _audit(self) -> None:
+        """What the robots along the tree can do, in short, before any policy is taken through them."""
+        if (self.run.path / "audit.json").is_file():
+            return
+        bend = self.job.transfer.path == "bent"
+        edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=2 * bend, scripted=1, causes=False,
+                          brief=True)  # fmt: skip
+        self.run.write_json("audit", {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]})
+        self.watch({"event": "audited", "verdict": verdict(edges)})
+
+    def _bends(self) -> dict[frozenset[str], Bend]:
+        """Targets behind each edge that is not straight -> how it turns, as the audit found it best."""
+        below, edges = self.tree.below(), read_audit(self.run.path)["edges"]
+        alphas = {node.name: node.alpha for node in self.tree.nodes}
+        return {below[edge["to"]]: Bend(alphas[edge["from"]], self.lab.space.side(edge["first"]), edge.get("lead", 1.0))
+                for edge in edges if edge.get("first") in SIDES}  # fmt: skip
+
+    def _stalled(self, branch: Branch) -> None:
+        """Ask of a path whose budget is spent what changes on the robots where it stands."""
+        ahead = self.transfer.evolution_tree(branch).meta_alpha if branch.next_alpha is None else branch.next_alpha
+        if np.linalg.norm(ahead - branch.alpha) > 1e-9:
+            audit = Audit(self.lab.merged, brief=True)
+            try:
+                self.stalls[branch.path] = audit.change(Way("here", "next", branch.alpha, ahead))
+                self.run.write_json("stalls", self.stalls)
+            finally:
+                audit.close()
+
+    # ---- what is seen on the way -------------------------------------------------------------------------------
+
+    def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
+        """Remember the episodes worth seeing."""
+        self.story.aside(lambda: self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise,
+                                                  branch.updates))  # fmt: skip
+
+    def _seen(self, record: dict[str, Any], branch: Branch) -> None:
+        """Pass an event on to the terminal and into the recording."""
+        self.watch(record)
+        if record["event"] == "budget" and branch.stage == "evolve" and branch.path not in self.stalls:
+            self._stalled(branch)
+        if record["event"] in ("moved", "arrived"):
+            start = self._stood.get(branch.path, branch.alpha)
+            self.story.aside(lambda: self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha))
+        self._stood[branch.path] = branch.alpha
+        self.story.tell(record)
+
+    def _plant(self, name: str) -> Plant:
+        """An unmodified target robot for the recording's films."""
+        return native_plant(next(robot for robot in self.job.targets if robot.name == name), self.job.task)
+
+    # ---- what is claimed ---------------------------------------------------------------------------------------
+
+    def _untrained(self, expert: GaussianPolicy) -> dict[str, Any]:
+        """The expert on every unmodified target before any training: whether evolution is needed at all. A resumed run reads it."""
+        file = self.run.path / "untrained.json"
+        if file.is_file():
+            return json.loads(file.read_text(encoding="utf-8"))
+        episodes, found = self.job.evaluation_episodes, {}
+        for robot in self.job.targets:
+            found[robot.name] = evaluate_compiled(expert, robot, self.job.task, episodes).to_json()
+            self.watch({"event": "untrained", **found[robot.name]})
+        self.run.write_json("untrained", found)
+        return found
+
+    def _evaluate(self, name: str, policy: GaussianPolicy) -> dict[str, Evaluation]:
+        robot = next(robot for robot in self.job.targets if robot.name == name)
+        episodes = self.job.evaluation_episodes
+        self.watch({"event": "evaluating", "target": name, "episodes": episodes})
+        return {
+            "merged": evaluate_merged(policy, self.engine, name, episodes),
+            "native": evaluate_native(policy, robot, self.job.task, episodes),
+        }
+
+    def _report(self, evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
+        costs = self.transfer.costs
+        total = lambda key: sum(getattr(cost, key) for cost in costs.values())  # noqa: E731
+        return {
+            "untrained": self.untrained,
+            "targets": {name: {env: e.to_json() for env, e in both.items()} for name, both in evaluations.items()},
+            "train_iterations": {path: cost.train_iterations for path, cost in costs.items()},
+            "sim_epochs": {path: cost.sim_epochs for path, cost in costs.items()},
+            "check_episodes": {path: cost.check_episodes for path, cost in costs.items()},
+            "diverged": {path: cost.diverged for path, cost in costs.items()},
+            "routes": self.transfer.routes,
+            "audit": read_audit(self.run.path)["verdict"],
+            "stalls": self.stalls,
+            "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
+            "wall_s": self.transfer.sampler.seconds,
+            "time": self.transfer.sampler.spent | {"outside_playing": outside_playing(self.transfer.sampler.spent)},
+            "seed": self.job.transfer.seed,
+            "kind": self.job.transfer.kind,
+            "metric": self.job.transfer.metric,
+            "step": self.job.transfer.step,
+            "learner": self.job.transfer.learner,
+            "path": self.job.transfer.path,
+            "source": self.job.source.name,
+            "task": self.job.task.name,
+        }
+
+
+def outside_playing(spent: dict[str, float]) -> float:
+    """Share of a transfer's wall time that played no episodes: learning, checkpoints, films and the tree."""
+    return 1.0 - spent["play_s"] / max(spent["wall_s"], 1e-9)
+
+
+def _rate(evaluation: dict[str, Any]) -> str:
+    return f"{evaluation['successes']} of {evaluation['episodes']}"
+
+
+def _needed(untrained: dict[str, Any]) -> list[str]:
+    """A sentence per outcome: where the expert does without evolution, and where it does not."""
+    without = [name for name, found in untrained.items() if found["success_rate"] >= ENOUGH]
+    needed = [name for name in untrained if name not in without]
+    return [f"Evolution {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
+            for verb, names in (("was", needed), ("was not", without)) if names]  # fmt: skip
+
+
+def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
+    """The report as Markdown, for people."""
+    lines = [
+        f"# {markdown(report['source'])} to {markdown(', '.join(report['targets']))}: {markdown(report['task'])}", "",
+        "| target | direct, untrained | unmodified robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
+    ]  # fmt: skip
+    for name, both in report["targets"].items():
+        low, high = both["native"]["ci95"]
+        cells = (markdown(name), _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", *_needed(report["untrained"])]
+    lines += ["", "| path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|"]
+    for path, route in report["routes"].items():
+        name = markdown(f"{path}: {' to '.join(route)}")
+        lines.append(
+            f"| {name} | {report['train_iterations'][path]} | {report['sim_epochs'][path]} | {report['check_episodes'][path]} |"
+        )
+    totals = report["totals"]
+    lines += [
+        f"| total | {totals['train_iterations']} | {totals['sim_epochs']} | {totals['check_episodes']} |", "",
+        f"{report['audit'].capitalize()}.", "",
+        *(f"{path} spent its budget: {why}." for path, why in report["stalls"].items()), *([""] if report["stalls"] else []),
+        f"Tree ({report['metric'].upper()}, {report['kind']}): length {tree.length:.1f}, independent paths "
+        f"{tree.independent_length:.1f}, ratio {tree.ratio:.2f}{', proven shortest' if tree.optimal else ''}.",
+        f"Wall time {report['wall_s'] / 60:.1f} min; of the transfer's {report['time']['wall_s'] / 60:.1f} min, "
+        f"{report['time']['outside_playing']:.0%} went into anything but playing episodes ({report['time']['learn_s']:.0f} s into "
+        f"learning). Diverged simulations: {totals['diverged']} (counted as failures)"
+        f"{'; the first lies in divergence.npz, for `meta-evolve replay`' if totals['diverged'] else ''}.",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,147 @@
+"""Episodes played, counted, shown and told: what the schedule and the learners of a transfer have in common."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+
+from toolkit.learning.episode import Episode
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.runs.run import Run
+from toolkit.transfer.branch import Branch, Cost
+from toolkit.transfer.settings import CHECKING_SEEDS, TRAINING_SEEDS
+
+LOOK = 8
+"""Episodes of the first part of a measurement, after which a look may end it; and of the first part of a search's first batch."""
+DOUBT = 3 / 4
+"""Share of the wanted success rate below which a look ends after its first part."""
+
+
+class Player(Protocol):
+    """Plays a batch of episodes: RolloutEngine on F(alpha), NativeEngine on a robosuite robot."""
+
+    def play(self, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]: ...
+
+
+def mean_of(policy: GaussianPolicy) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
+    """The policy without its noise, as an actor."""
+    return lambda observation, rng: policy.mean(observation)
+
+
+class Sampler:
+    """Plays a transfer's episodes.
+
+    Args:
+        run: folder for the metrics.
+        seed: of everything random.
+        report: called with one flat record per event, for progress and pictures.
+        witness: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
+            explored by noise on its actions, and the policy of each episode.
+
+    Attributes:
+        costs: path -> what it has cost.
+        rng: the transfer's only source of random numbers.
+        spent: wall time [s] of the transfer, and its parts that went into playing episodes and into learning.
+        records: lines of metrics.jsonl so far.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        seed: int,
+        report: Callable[[dict[str, Any], Branch], None],
+        witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
+    ) -> None:
+        self.run, self.report, self.witness = run, report, witness
+        self.rng = np.random.default_rng(seed)
+        self.costs: dict[str, Cost] = {}
+        self.spent = {"play_s": 0.0, "learn_s": 0.0, "wall_s": 0.0}
+        self.records = 0
+        self._started = time.perf_counter()
+        self.earlier_seconds = 0.0
+
+    # ---- playing -----------------------------------------------------------------------------------------------
+
+    def play(self, player: Player, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]:
+        """``player.play``, timed."""
+        began = time.perf_counter()
+        batch = player.play(actor, alphas, seeds)
+        self.spent["play_s"] += time.perf_counter() - began
+        return batch
+
+    def train(
+        self, branch: Branch, player: Player, alphas: list[np.ndarray], seeds: list[int], policies: list[GaussianPolicy] | None = None
+    ) -> list[Episode]:
+        """Training episodes, counted: of the branch's policy under its noise, or of ``policies``, one each, without."""
+        actors = branch.policy.act if policies is None else [mean_of(policy) for policy in policies]
+        batch = self.play(player, actors, alphas, seeds)
+        cost = self.costs[branch.path]
+        cost.sim_epochs += len(batch)
+        cost.diverged += sum(episode.diverged for episode in batch)
+        self.witness(branch, batch, policies is None, policies or [branch.policy] * len(batch))
+        return batch
+
+    def training_seeds(self, count: int) -> list[int]:
+        """Seeds of training episodes."""
+        return [int(seed) for seed in self.rng.integers(TRAINING_SEEDS, size=count)]
+
+    # ---- measuring ---------------------------------------------------------------------------------------------
+
+    def success(
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False,
+        hasty: bool = False, look: bool = False, floor: float | None = None,
+    ) -> float:  # fmt: skip
+        """Success rate of the policy on the robot ``alpha`` (D,), stopped once it is sure to be at least ``wanted``, or below ``floor``.
+
+        Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` one also ends after its first episodes where these
+        promise little; so does a ``look`` at a robot that nothing trains for: most of those fail, and what is missed is looked at again.
+        ``floor`` is ``wanted`` itself if not given; a lower one tells policies apart that are not there yet.
+
+        Returns:
+            the share of successes among the episodes played; at least ``wanted`` exactly if the policy has it.
+        """
+        needed = math.ceil(wanted * episodes)
+        least = needed if floor is None else min(needed, math.ceil(floor * episodes))
+        successes = played = 0
+        actor = branch.policy.act if exploring else mean_of(branch.policy)
+        while played < episodes and successes < needed and successes + episodes - played >= least:
+            size = min(LOOK, episodes - played)
+            batch = self.play(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
+            played += size
+            successes += sum(episode.success for episode in batch)
+            self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+            self.witness(branch, batch, exploring, [branch.policy] * size)
+            if (hasty or look) and successes < DOUBT * wanted * played:
+                break
+        self.costs[branch.path].check_episodes += played
+        reach = float(np.linalg.norm(alpha - branch.alpha))
+        held = successes >= needed
+        event = "explore" if exploring else "look" if look else "check"
+        self.say(event, branch, success=successes / played, checked=played, reach=reach, held=held, noise=branch.noise)
+        return successes / played
+
+    def watch(self, branch: Branch, player: Player, alpha: np.ndarray) -> list[Episode]:
+        """A few episodes of the policy on the robot ``alpha`` (D,) that are counted as checks: to see which states it meets."""
+        batch = self.play(player, mean_of(branch.policy), [alpha] * LOOK, [CHECKING_SEEDS + i for i in range(LOOK)])
+        self.costs[branch.path].check_episodes += len(batch)
+        self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+        self.witness(branch, batch, False, [branch.policy] * len(batch))
+        return batch
+
+    # ---- telling -----------------------------------------------------------------------------------------------
+
+    def say(self, event: str, branch: Branch, **values: Any) -> None:
+        """One line of metrics.jsonl, passed on to whoever watches."""
+        cost = self.costs[branch.path]
+        record = {"event": event, "path": branch.path, "stage": branch.stage, **values, **asdict(cost), "seconds": self.seconds}
+        self.records += 1
+        self.run.append_metrics(record)
+        self.report(record, branch)
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the run, over all its sittings [s]."""
+        return self.earlier_seconds + time.perf_counter() - self._started
