@@ -1,7 +1,10 @@
 """Layers: who may import whom, and what no file may do, read from the syntax trees."""
 
 import ast
+import os
 import re
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -140,16 +143,64 @@ def test_no_module_imports_itself_in_a_circle():
     assert not circles, f"{circles} import one another in a circle"
 
 
-def test_modules_import_upwards_in_the_architectures_order():
+def architecture():
+    """Names of the toolkit's modules in the order of docs/architecture.md, and its rooms in theirs."""
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    listed = [
-        m.replace("/", ".").removesuffix(".py") for m in re.findall(r"^ {4}(toolkit/\S+\.py)", text, re.MULTILINE)
-    ]
-    assert len(listed) > 10, "docs/architecture.md lists the modules in another form"
-    rank = {module: index for index, module in enumerate(listed)}
-    wrong = [
-        f"{a} imports {b} (line {line})"
-        for a, b, line in toolkit_edges()
-        if a in rank and b in rank and rank[b] >= rank[a]
-    ]
+    modules, rooms = [], []
+    for line in text.splitlines():
+        if found := re.match(r" {4}toolkit/(\w+)(/|\.py) ", line):
+            rooms.append(found[1])
+            modules += [f"toolkit.{found[1]}"]
+        elif re.match(r" {8}\w", line):
+            modules += [f"toolkit.{rooms[-1]}.{name.replace('/', '.')}" for name in line.split()]
+    return modules, rooms
+
+
+def test_the_architecture_lists_every_module_once():
+    modules, rooms = architecture()
+    packages = {module_name(path) for path in TOOLKIT if path.name == "__init__.py"}
+    there = {module_name(path) for path in TOOLKIT} - packages
+    listed = {module for module in modules if module not in packages}
+    assert len(modules) == len(set(modules)) and len(rooms) > 10, "docs/architecture.md lists a module twice, or in another form"
+    missing = sorted(module for module in there - listed if not module.startswith("toolkit.cli."))
+    assert not missing and listed <= there, f"docs/architecture.md lacks {missing}, and has {sorted(listed - there)} that are not there"
+    assert {path.parent.name for path in (ROOT / "toolkit").glob("*/__init__.py")} <= set(rooms)
+
+
+def test_no_module_stands_outside_the_rooms():
+    loose = {path.stem for path in (ROOT / "toolkit").glob("*.py")}
+    assert loose == {"__init__", "errors", "quiet", "doctor"}, f"{loose} stand in toolkit/ itself"
+
+
+def test_modules_import_upwards_in_the_architectures_order():
+    """Rooms from rooms above, and files from files before them in their room."""
+    modules, rooms = architecture()
+    packages = {module_name(path) for path in TOOLKIT if path.name == "__init__.py"}
+    place = {room: index for index, room in enumerate(rooms)}
+    rank = {module: index for index, module in enumerate(modules) if module not in packages}
+    wrong = []
+    for a, b, line in toolkit_edges():
+        ours, theirs = (module.split(".")[1] if "." in module else None for module in (a, b))
+        upwards = ours in place and theirs in place and place[theirs] > place[ours]
+        if upwards or (a in rank and b in rank and rank[b] >= rank[a]):
+            wrong.append(f"{a} imports {b} (line {line})")
     assert not wrong, f"against docs/architecture.md: {wrong}"
+
+
+def test_a_robots_computer_needs_few_rooms():
+    """deploy, and bundle beneath it, import the light rooms alone."""
+    light = ("toolkit.deploy", "toolkit.bundle", "toolkit.io", "toolkit.runs.seeds", "toolkit.errors")
+    wrong = [f"{a} imports {b} (line {line})" for a, b, line in toolkit_edges() if a.startswith(("toolkit.deploy", "toolkit.bundle"))
+             and not b.startswith(light) and b != "toolkit.learning.policy"]  # fmt: skip
+    assert not wrong, f"{wrong}; the writer of ONNX graphs alone takes a policy, when it is called"
+
+
+@pytest.mark.parametrize("module", [*(f"toolkit.morphology.{name}" for name in ("matching", "lab", "survey")), "toolkit.evolution"])
+def test_matching_and_trees_load_neither_learner_nor_viewer(module):
+    """By what is loaded, so that a slow machine changes nothing."""
+    heavy = ("torch", "rerun", "onnx", "onnxruntime") + (("robosuite", "mujoco") if module == "toolkit.evolution" else ())
+    code = f"import sys, {module}; print([name for name in {heavy!r} if name in sys.modules])"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().splitlines()[-1] == "[]", f"import {module} loads {done.stdout.strip()}"

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import json
+import pickle
 import warnings
 
 import numpy as np
@@ -18,7 +19,7 @@ from toolkit.learning import npg
 from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
-from toolkit.learning.policy import OBSERVATION_CLIP, GaussianPolicy, ValueFunction
+from toolkit.learning.policy import OBSERVATION_CLIP, GaussianPolicy, MeanActor, ValueFunction
 
 
 def make_policy(n_obs=5, n_act=3, hidden=(4, 4), seed=0, spread=0.5):
@@ -538,3 +539,11 @@ def test_cloning_refuses_bad_demonstrations():
     ):
         with pytest.raises(ToolkitError, match=sentence):
             clone(policy, *arguments, CloningConfig(), rng)
+
+
+def test_a_policys_mean_may_be_sent_to_another_process():
+    policy, rng = make_policy(), np.random.default_rng(3)
+    sent = pickle.loads(pickle.dumps(MeanActor(policy)))  # noqa: S301 -- as multiprocessing does
+    for observation in rng.standard_normal((5, 5)):
+        assert np.array_equal(sent(observation, rng), policy.mean(observation))
+    assert rng.standard_normal() == [*np.random.default_rng(3).standard_normal(26)][-1], "it draws nothing"
