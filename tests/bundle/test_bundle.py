@@ -317,7 +317,7 @@ def test_a_foreign_manifest(copy, text):
 
 def test_another_format_version(copy):
     edit(copy, lambda m: m.update(format_version=FORMAT_VERSION + 1))
-    with pytest.raises(ToolkitError, match=f"this release reads 2 and {FORMAT_VERSION}; export the bundle again"):
+    with pytest.raises(ToolkitError, match=f"this release reads 2 to {FORMAT_VERSION}; export the bundle again"):
         load_bundle(copy)
 
 

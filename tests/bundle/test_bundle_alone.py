@@ -322,7 +322,7 @@ def test_the_manifest_is_valid_by_the_schema_beside_it(exported, name):
     (lambda m: m["simulation"]["holding"].update(consecutive=1), "$.simulation.holding.consecutive is no boolean"),
     (lambda m: m.update(simulation=None), "$.simulation is no object"),
     (lambda m: m.update(licence=None), "$.licence is no string"),
-    (lambda m: m.update(format_version=2), "$.format_version is not 3"),
+    (lambda m: m.update(format_version=2), "$.format_version is not 4"),
     (lambda m: m["watch"].update(patience=3), "$.watch.patience is unknown"),
     (lambda m: m["simulation"]["actuators"][0].update(force=["x"]), "$.simulation.actuators[0].force fits nothing"),
     (lambda m: m["golden"].update(steps=2.5), "$.golden.steps is no integer"),
@@ -479,21 +479,28 @@ def test_a_replay_from_a_wrong_manifest_fails(unpacked, harm):
     assert done.returncode == 1 and said and max(said["arm_rad"], said["object_m"]) > 1e-4, done.stderr
 
 
-def test_a_bundle_of_format_version_2_still_loads(unpacked):
-    """As an earlier release wrote it: no simulation, no licence, five files beside the manifest."""
+EARLIER = ("policy.onnx", "policy.safetensors", "golden.npz", "robot.xml", "README.md")
+
+
+@pytest.mark.parametrize("version, lacks, kept", [
+    (2, ("simulation", "licence", "holds"), EARLIER),
+    (3, ("holds",), (*EARLIER, "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json")),
+])  # fmt: skip
+def test_a_bundle_of_an_earlier_format_version_still_loads(unpacked, version, lacks, kept):
+    """As earlier releases wrote it: fewer entries, and fewer files beside the manifest."""
     folder = unpacked("kinova3")
     manifest = json.loads((folder / "manifest.json").read_text())
-    label = {key: value for key, value in manifest.items() if key not in ("sha256", "simulation", "licence")} | {"format_version": 2}
+    label = {key: value for key, value in manifest.items() if key not in ("sha256", *lacks)} | {"format_version": version}
     model = onnx.load(folder / "policy.onnx")
     onnx.helper.set_model_props(model, {"meta_evolve": json.dumps(label)})
     (folder / "policy.onnx").write_bytes(model.SerializeToString())
-    kept = ("policy.onnx", "policy.safetensors", "golden.npz", "robot.xml", "README.md")
     for file in set(FILES) - {*kept, "manifest.json"}:
-        (folder / file).unlink()
+        (folder / file).unlink(missing_ok=True)
     old = label | {"sha256": {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in kept}}
     (folder / "manifest.json").write_text(json.dumps(old))
     bundle = load_bundle(folder)
-    assert bundle.manifest.simulation is None and bundle.manifest.to_json() == old and check_bundle(bundle)["golden_ok"]
-    (folder / "manifest.json").write_text(json.dumps(old | {"licence": "MIT"}))
-    with pytest.raises(ToolkitError, match="licence does not fit format version 2.*export the bundle again"):
+    assert all(getattr(bundle.manifest, key) is None for key in lacks)
+    assert bundle.manifest.to_json() == old and check_bundle(bundle)["golden_ok"]
+    (folder / "manifest.json").write_text(json.dumps(old | {"holds": []}))
+    with pytest.raises(ToolkitError, match=f"holds does not fit format version {version}.*export the bundle again"):
         load_bundle(folder)

@@ -145,17 +145,19 @@ def test_resuming_what_is_not_there_says_so(capsys, learner):
 @pytest.mark.parametrize(
     "asked, said",
     [(["--seed", "1"], "transfer.seed = 0, not 1"), (["--metric", "l2"], "transfer.metric = l1, not l2"),
-     (["--targets", "jaco"], "targets = ['jaco', 'kinova3', 'iiwa'], not ['jaco']"),
-     (["--preset", "paper"], "transfer.step = adaptive, not fixed")],
+     (["--targets", "jaco"], "targets = ['kinova3', 'iiwa'], not ['jaco']"),
+     (["--expert", "adroit-061_foam_brick"], "expert = adroit-061_foam_brick-wide-recordings, not adroit-061_foam_brick"),
+     (["--preset", "paper", "--targets", "kinova3", "iiwa"], "transfer.step = adaptive, not fixed")],
 )  # fmt: skip
 def test_resuming_with_another_config_names_the_difference(capsys, learner, asked, said):
     from robots import ROBOTS
     from tasks import TASKS
+    from toolkit.expert.shelf import taught_by_hands
     from toolkit.transfer.pipeline import PRESETS, Job, transfer_config
 
     started = transfer_config("quick", "steiner", "l1", 0)
-    goals = tuple(ROBOTS[name] for name in TARGETS)
-    job = Job(ROBOTS["adroit"], goals, TASKS[TASK], started, PRESETS["quick"]["evaluation_episodes"])
+    goals = tuple(ROBOTS[name] for name in PRESETS["quick"]["targets"])
+    job = Job(ROBOTS["adroit"], goals, TASKS[TASK], started, PRESETS["quick"]["evaluation_episodes"], taught_by_hands("adroit", TASK))
     Run.create("started", job.config())
     assert said in refusal(capsys, "transfer", "--run", "started", "--resume", *asked)
 
@@ -198,7 +200,7 @@ def test_an_expert_has_one_target_its_source(capsys):
 
 @pytest.mark.parametrize("kept", ["name", "folder"])
 def test_an_expert_is_evaluated_by_name_and_from_its_run_folder(capsys, monkeypatch, kept):
-    from toolkit.evaluation import success as evaluation
+    from toolkit.evaluation.success import success as evaluation
     from toolkit.expert.shelf import load_expert
 
     policy, _ = load_expert("adroit", TASK)

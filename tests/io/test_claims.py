@@ -136,7 +136,8 @@ def test_resuming_twice_is_refused_at_once(tmp_path, capsys, command):
     """Both once trained, and their metrics interleaved."""
     from toolkit.cli.benchmarks import Entry
 
-    config = Entry(targets=("kinova3",), episodes=40).job("quick").config() if command[0] == "transfer" else {
+    asked = Entry(targets=("kinova3",), episodes=40, expert=f"adroit-{BRICK}-wide-recordings")
+    config = asked.job("quick").config() if command[0] == "transfer" else {
         "source": "adroit", "task": BRICK, "demos": None, "frame_rate": 25.0, "seed": 0, "updates": 6, "demonstrations": 160}  # fmt: skip
     Run.create(tmp_path / "r", config).end()
     holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
@@ -246,8 +247,8 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
 
     from robots import ROBOTS
     from toolkit.bundle.manifest import Lineage, Success
-    from toolkit.bundle.reading import SHIPPED, load_bundle
-    from toolkit.expert.shelf import load_expert
+    from toolkit.bundle.reading import load_bundle
+    from toolkit.expert.shelf import SHIPPED, load_expert
     from toolkit.export import packing
 
     with zipfile.ZipFile(SHIPPED / "kinova3.zip") as archive:

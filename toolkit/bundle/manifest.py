@@ -14,10 +14,12 @@ from typing import Any, Literal
 
 from toolkit.errors import ToolkitError
 
-FORMAT, FORMAT_VERSION = "meta-evolve bundle", 3
-READABLE = (2, 3)
-"""Versions that this release reads. Version 2 has neither ``simulation`` nor ``licence``: golden.npz alone settles what they say."""
-SINCE_3 = ("simulation", "licence")
+FORMAT, FORMAT_VERSION = "meta-evolve bundle", 4
+READABLE = (2, 3, 4)
+"""Versions that this release reads. Version 2 has neither ``simulation`` nor ``licence``: golden.npz alone settles what they say. Version
+3 lacks ``holds``, and the files scene.xml and robot.urdf."""
+SINCE = {"simulation": 3, "licence": 3, "holds": 4}
+"""Entry -> the version that brought it."""
 
 Vector = tuple[float, ...]
 
@@ -646,6 +648,32 @@ class Simulation:
 
 
 @dataclass(frozen=True)
+class Held:
+    """Where the policy holds in one condition of a laboratory, all others as in training; measured by ``meta-evolve stress``.
+
+    Attributes:
+        name, unit, meaning: of the condition.  nominal: in training.
+        low, high: interval of tried values around the nominal one in which at least 0.9 of the episodes succeeded.
+        lowest, highest: values that were tried: where they are ``low`` and ``high``, the end was not found.
+        episodes: of each value.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    nominal: float
+    low: float
+    high: float
+    lowest: float
+    highest: float
+    episodes: int
+
+    def __post_init__(self) -> None:
+        _require(self.lowest <= self.low <= self.nominal <= self.high <= self.highest, "low, nominal and high are in no order")
+        _require(self.episodes > 0, "episodes is not positive")
+
+
+@dataclass(frozen=True)
 class Manifest:
     """All of it; see the records.
 
@@ -657,6 +685,7 @@ class Manifest:
         start: of an episode.  cartesian, watch: limits.  versions: software that exported it.
         run: the configuration of the run that trained the policy.  sha256: file -> digest.
         simulation: all that else closes the loop.  licence: of the bundle, by SPDX. Both None in format version 2.
+        holds: under which conditions of a laboratory the policy holds; empty: not measured. None before format version 4.
     """
 
     format: str
@@ -684,10 +713,12 @@ class Manifest:
     sha256: dict[str, str]
     simulation: Simulation | None = None
     licence: str | None = None
+    holds: tuple[Held, ...] | None = None
 
     def __post_init__(self) -> None:
-        for key in SINCE_3:
-            _require((getattr(self, key) is None) == (self.format_version < 3), f"{key} does not fit format version {self.format_version}")
+        for key, version in SINCE.items():
+            fits = (getattr(self, key) is None) == (self.format_version < version)
+            _require(fits, f"{key} does not fit format version {self.format_version}")
         _require(self.policy_hz > 0 and self.controller_hz >= self.policy_hz, "policy_hz and controller_hz are no rates")
         for key in ("observation", "action", "joints"):
             names = [entry.name for entry in getattr(self, key)]
@@ -703,7 +734,7 @@ class Manifest:
     def to_json(self) -> dict[str, Any]:
         """As it is written, JSON values only."""
         content = json.loads(json.dumps(asdict(self), allow_nan=False))
-        return {key: value for key, value in content.items() if self.format_version >= 3 or key not in SINCE_3}
+        return {key: value for key, value in content.items() if self.format_version >= SINCE.get(key, 0)}
 
     def label(self) -> dict[str, Any]:
         """What the ONNX file carries: all but the files' hashes, of which its own would be one."""
@@ -725,11 +756,10 @@ def read_manifest(content: Any, where: str) -> Manifest:
     version = content.get("format_version")
     if type(version) is not int or version not in READABLE:
         raise ToolkitError(
-            f"{where} has format version {_shown(version)}; this release reads {' and '.join(map(str, READABLE))}; export the bundle "
-            "again, with: meta-evolve export"
+            f"{where} has format version {_shown(version)}; this release reads {READABLE[0]} to {READABLE[-1]}; export the "
+            "bundle again, with: meta-evolve export"
         )
-    if version < 3:
-        content = dict.fromkeys(SINCE_3) | content
+    content = {key: None for key, since in SINCE.items() if version < since} | content
     return _read(Manifest, content, where, "")
 
 

@@ -282,14 +282,45 @@ def load_onnx(path: str | Path) -> OnnxPolicy:
     return onnx_from_bytes(path.read_bytes(), str(path))
 
 
+def flat_actions(content: bytes, observations: np.ndarray, where: str) -> np.ndarray:
+    """(N, n_out) actions of a graph with one batched input for (N, n_obs) observations; ``where`` names the file in messages.
+
+    Raises:
+        ToolkitError: no such graph.
+    """
+    session = _session(content, where)
+    try:
+        return np.asarray(session.run([FLAT_OUTPUT], {FLAT_INPUT: np.asarray(observations, np.float32)})[0], float)
+    except (*_LOAD_ERRORS, TypeError) as error:
+        raise ToolkitError(f"{where} does not play ({str(error)[:120]}); export the policy again.") from None
+
+
+def actor_actions(content: bytes, observations: np.ndarray, where: str) -> np.ndarray:
+    """(N, n_out) actions of the plain layers that `export_actor` wrote for (N, n_obs) observations, by its formula.
+
+    Raises:
+        ToolkitError: no such layers; ``where`` names the file.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        tensors = load(content)
+        x = (np.asarray(observations, float) - tensors["observation.shift"]) / tensors["observation.scale"]
+        x = np.clip(x, -tensors["observation.clip"], tensors["observation.clip"])
+        last = max(int(name.split("_")[1].split(".")[0]) for name in tensors if name.startswith("layer_"))
+        for i in range(last + 1):
+            x = x @ tensors[f"layer_{i}.weight"].T + tensors[f"layer_{i}.bias"]
+            x = np.tanh(x) if i < last else np.clip(x, -1.0, 1.0)
+    except (SafetensorError, KeyError, ValueError, IndexError) as error:
+        raise ToolkitError(f"{where} holds no policy ({str(error)[:120]}); export the policy again.") from None
+    return x
+
+
 def onnx_from_bytes(content: bytes, where: str) -> OnnxPolicy:
     """As `load_onnx`, from a file's content; ``where`` names it in messages."""
-    options = onnxruntime.SessionOptions()
-    # A few thousand products per call: a second thread would cost more than it does, and spin between calls.
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
+    session = _session(content, where)
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)  # it prints
         text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)  # as text: it may be none
     except _LOAD_ERRORS as error:
         raise ToolkitError(f"{where} is damaged or is not ONNX ({error}); export the policy again.") from error
@@ -299,6 +330,17 @@ def onnx_from_bytes(content: bytes, where: str) -> OnnxPolicy:
     if text is None or not plain or [entry.name for entry in session.get_outputs()] != ["action"]:
         raise ToolkitError(f"{where} is ONNX, but not an exported policy; give a file that export_onnx wrote.")
     return OnnxPolicy(session, parsed_object(text, f"the metadata of {where}", "export the policy again"))
+
+
+def _session(content: bytes, where: str) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    # A few thousand products per call: a second thread would cost more than it does, and spin between calls.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)  # it prints
+    except _LOAD_ERRORS as error:
+        raise ToolkitError(f"{where} is damaged or is not ONNX ({error}); export the policy again.") from error
 
 
 # onnxruntime's errors share no base but Exception; these are the ones that a bad file raises.

@@ -9,7 +9,10 @@
     manifest.schema.json its JSON schema, with the meaning of every entry
     golden.npz           recorded observations with their actions, and one closed-loop episode
     robot.xml            the robot as MJCF: frames, joints, limits, enclosing boxes and capsules
+    robot.urdf           the same as URDF
+    scene.xml            robot, motors, couplings, table and object as MJCF, to be driven
     README.md            for people
+    manifest.json.sig    signature of the manifest, and with its hashes of all the rest; optional, see toolkit/bundle/signing.py
 
 This file reads and proves; toolkit/export/packing.py writes. Loading runs no code from the files, unpacks nothing to disk, and
 imports neither torch nor robosuite.
@@ -26,7 +29,7 @@ import numpy as np
 from tasks.npz import BROKEN, ArrayError, Arrays
 from toolkit.bundle.makers import check_makers_limits
 from toolkit.bundle.manifest import Manifest, read_manifest
-from toolkit.bundle.onnx_graph import OnnxPolicy, onnx_from_bytes
+from toolkit.bundle.onnx_graph import OnnxPolicy, actor_actions, flat_actions, onnx_from_bytes
 from toolkit.errors import ToolkitError
 from toolkit.io.jsonfiles import parsed
 from toolkit.io.quoting import told
@@ -34,11 +37,16 @@ from toolkit.io.quoting import told
 ONNX, SAFETENSORS, MANIFEST = "policy.onnx", "policy.safetensors", "manifest.json"
 GOLDEN, MJCF, README = "golden.npz", "robot.xml", "README.md"
 FLAT_ONNX, ACTOR, SCHEMA, CONFIG = "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json"
+SCENE, URDF = "scene.xml", "robot.urdf"
 HASHED_2 = (ONNX, SAFETENSORS, GOLDEN, MJCF, README)
 """Files beside the manifest in format version 2."""
-HASHED = (*HASHED_2, FLAT_ONNX, ACTOR, SCHEMA, CONFIG)
-"""The same since version 3."""
+HASHED_3 = (*HASHED_2, FLAT_ONNX, ACTOR, SCHEMA, CONFIG)
+"""The same in version 3."""
+HASHED = (*HASHED_3, SCENE, URDF)
+"""The same since version 4."""
 FILES = (*HASHED, MANIFEST)
+SIGNATURE = MANIFEST + ".sig"
+"""Of the manifest's bytes, named as OpenSSH names it; optional."""
 LARGEST_FILE = 64 * 2**20
 """Bytes; a file of a bundle that is larger is none."""
 SHIPPED = Path(__file__).parent / "shipped"
@@ -56,6 +64,7 @@ class Bundle:
         policy: named record of float32 vectors -> robosuite's action (n_act,) in [-1, 1].
         golden: arrays of golden.npz; see ``golden_shapes``.
         mjcf: robot.xml.
+        files: name -> content of all of its files, as read.
     """
 
     path: Path
@@ -63,6 +72,7 @@ class Bundle:
     policy: OnnxPolicy
     golden: dict[str, np.ndarray]
     mjcf: str
+    files: dict[str, bytes]
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """robosuite's action (n_act,) for an observation vector (n_obs,), entries in the manifest's order."""
@@ -106,7 +116,7 @@ def load_bundle(path: str | Path) -> Bundle:
     _there(files, (MANIFEST,), path)
     content = parsed(files[MANIFEST], f"{path}/{MANIFEST}", "copy or export the bundle again")
     manifest = read_manifest(content, f"{path}/{MANIFEST}")
-    hashed = HASHED if manifest.format_version >= 3 else HASHED_2
+    hashed = {2: HASHED_2, 3: HASHED_3}.get(manifest.format_version, HASHED)
     _there(files, hashed, path)
     check_makers_limits(manifest, f"{path}/{MANIFEST}")
     for name in hashed:
@@ -123,7 +133,7 @@ def load_bundle(path: str | Path) -> Bundle:
         mjcf = files[MJCF].decode("utf-8")
     except UnicodeDecodeError as error:
         raise ToolkitError(f"{path}/{MJCF} is no text ({error}); copy or export the bundle again") from error
-    return Bundle(path, manifest, policy, golden, mjcf)
+    return Bundle(path, manifest, policy, golden, mjcf, files)
 
 
 def _there(files: dict[str, bytes], names: tuple[str, ...], path: Path) -> None:
@@ -134,7 +144,7 @@ def _there(files: dict[str, bytes], names: tuple[str, ...], path: Path) -> None:
 
 def _read_folder(path: Path) -> dict[str, bytes]:
     out = {}
-    for name in FILES:
+    for name in (*FILES, SIGNATURE):
         file = path / name
         if not file.is_file():
             continue
@@ -155,7 +165,7 @@ def _read_zip(path: Path) -> dict[str, bytes]:
         with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
                 where = PurePosixPath(entry.filename)
-                if where.name not in FILES or len(where.parts) > 2 or ".." in where.parts or entry.is_dir():
+                if where.name not in (*FILES, SIGNATURE) or len(where.parts) > 2 or ".." in where.parts or entry.is_dir():
                     continue
                 if where.name in out:
                     raise ToolkitError(f"{path} holds {where.name} twice; export the bundle again")
@@ -222,19 +232,33 @@ def read_golden(content: bytes, manifest: Manifest, where: str) -> dict[str, np.
                            "export the bundle again") from None  # fmt: skip
 
 
+def _error(found: np.ndarray, wanted: np.ndarray) -> float:
+    """Largest difference; infinite where a number is missing or is none."""
+    fits = found.shape == wanted.shape and np.isfinite(found).all()
+    return float(np.abs(found - wanted).max()) if fits else float("inf")
+
+
 def check_bundle(bundle: Bundle) -> dict[str, Any]:
     """Compare a bundle with its golden vectors and its recorded episode, and probe its limits.
 
     Returns:
-        onnx_max_abs_error: largest difference from the golden actions, the recorded episode's included; tolerance: what
-        the manifest allows; golden_ok: whether it is within; limits_ok: whether no observation of a thousand, however
-        wild, made a finite action leave the manifest's limits, and none that holds NaN became a command.
+        onnx_max_abs_error: largest difference from the golden actions, the recorded episode's included; flat_max_abs_error and
+        actor_max_abs_error: the same of the graph with one batched input, and of the plain layers, None in format version 2, which has
+        neither; tolerance: what the manifest allows; golden_ok: whether all are within; limits_ok: whether no observation of a
+        thousand, however wild, made a finite action leave the manifest's limits, and none that holds NaN became a command.
+
+    Raises:
+        ToolkitError: one of the files that hold the policy is no such file.
     """
     manifest, golden = bundle.manifest, bundle.golden
     seen = np.concatenate([golden["observations"], golden["episode_observations"]])
     wanted = np.concatenate([golden["actions"], golden["episode_actions"]])
     found = np.array([bundle(observation) for observation in seen], float)
-    error = float(np.abs(found - wanted).max()) if np.isfinite(found).all() else float("inf")
+    errors = {"onnx": _error(found, wanted), "flat": None, "actor": None}
+    if manifest.format_version >= 3:
+        errors["flat"] = _error(flat_actions(bundle.files[FLAT_ONNX], seen, f"{bundle.path}/{FLAT_ONNX}"), wanted)
+        errors["actor"] = _error(actor_actions(bundle.files[ACTOR], seen, f"{bundle.path}/{ACTOR}"), wanted)
+    worst = max(error for error in errors.values() if error is not None)
     low, high = (np.array([getattr(entry, key) for entry in manifest.action]) for key in ("low", "high"))
     rng = np.random.default_rng(0)
     wild = 10.0 ** rng.uniform(-3, 30, (WILD_OBSERVATIONS, 1)) * rng.uniform(-1, 1, (WILD_OBSERVATIONS, seen.shape[1]))
@@ -243,6 +267,7 @@ def check_bundle(bundle: Bundle) -> dict[str, Any]:
     broken = np.repeat(seen[:1], seen.shape[1], axis=0)
     np.fill_diagonal(broken, np.nan)
     return {
-        "onnx_max_abs_error": error, "tolerance": manifest.golden.tolerance, "golden_ok": error <= manifest.golden.tolerance,
+        **{f"{name}_max_abs_error": error for name, error in errors.items()}, "tolerance": manifest.golden.tolerance,
+        "golden_ok": worst <= manifest.golden.tolerance,
         "limits_ok": inside and bool(np.isnan([bundle(row) for row in broken]).all()),
     }  # fmt: skip

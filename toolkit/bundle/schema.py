@@ -10,7 +10,7 @@ import typing
 from dataclasses import fields, is_dataclass
 from typing import Any, Literal
 
-from toolkit.bundle.manifest import FORMAT, FORMAT_VERSION, SINCE_3, Manifest
+from toolkit.bundle.manifest import FORMAT, FORMAT_VERSION, SINCE, Manifest
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean"}
@@ -21,7 +21,7 @@ def manifest_schema() -> dict[str, Any]:
     found: dict[str, Any] = {}
     _kind(Manifest, found)
     top = found.pop(Manifest.__name__)
-    for name in SINCE_3:  # optional only for those who still read version 2
+    for name in SINCE:  # optional only for those who still read older versions
         top["properties"][name] = top["properties"][name]["anyOf"][0]
     top["properties"]["format"] = {"const": FORMAT}
     top["properties"]["format_version"] = {"const": FORMAT_VERSION}

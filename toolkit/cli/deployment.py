@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from toolkit.cli.judging import check_signer
 from toolkit.cli.names import find_robot, find_task, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
@@ -16,7 +17,7 @@ from toolkit.io.quoting import told
 if TYPE_CHECKING:
     import subprocess
 
-    from toolkit.bundle.manifest import Lineage, Success
+    from toolkit.bundle.manifest import Held, Lineage, Success
     from toolkit.bundle.reading import Bundle
     from toolkit.deploy.drivers.sim import SimDriver
 
@@ -31,23 +32,27 @@ OWNER = "META_EVOLVE_TWIN_OWNER"
 """Set for a twin that a deployment starts: the process whose end is also the twin's, however it ends."""
 
 
-def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, json: bool = False) -> None:
+def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, stressed: Path | None = None, sign: Path | None = None,
+           json: bool = False) -> None:  # fmt: skip
     """Write a target's policy as a bundle, a folder and a .zip: named observations in, robosuite's own action out.
 
     Args:
         run: a run folder.
         target: which target.
         out: folder of the bundle; made if needed. The .zip lies beside it.
+        stressed: folder that stress --out wrote for this policy; its ranges go into the manifest and the bundle's README.
+        sign: OpenSSH private key that signs it; its public key proves it: verify --signed-by KEY.pub.
         json: print the manifest.
     """
     content, policies, _ = trained_policies(run, target)
     from toolkit.export.packing import write_bundle
 
     robot, task = find_robot(target), find_task(content["task"])
+    holds = _holds(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
     with Progress("export", quiet=json) as progress:
         label = _label(run, target, robot, task, policies[target], progress)
         manifest = write_bundle(policies[target], robot, task, content, _lineage(run, target), label, out,
-                                lambda what: progress.show(f"export {target}", what, now=True))  # fmt: skip
+                                lambda what: progress.show(f"export {target}", what, now=True), key=sign, holds=holds)  # fmt: skip
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
                                    + told("verify", out))  # fmt: skip
 
@@ -65,6 +70,7 @@ def deploy(
     dry_run: bool = False,
     host: str | None = None,
     ticks: int = 20,
+    signed_by: Path | None = None,
     json: bool = False,
 ) -> None:
     """Move an arm with a bundle, through the safety filter. The arm is the twin: robosuite's robot in a process of its own.
@@ -86,6 +92,7 @@ def deploy(
         dry_run: open nothing that can move the arm; read it, and print what would be sent. For a real arm give --form joint.
         host: address of the arm, for --dry-run with ur, franka or kortex.
         ticks: of a dry run.
+        signed_by: OpenSSH public key; a bundle that its holder has not signed is refused.
         json: print one JSON object.
     """
     if driver != "sim" and not dry_run:
@@ -101,6 +108,8 @@ def deploy(
     from toolkit.deploy.drivers.sim import SimDriver
 
     loaded = load_bundle(bundle)
+    if signed_by is not None:
+        check_signer(loaded, signed_by)
     if driver != "sim":
         from toolkit.cli.listening import dry, listener
 
@@ -260,6 +269,30 @@ def _loopback(listener: Any) -> bool:
     import ipaddress
 
     return ipaddress.ip_address(listener.getsockname()[0].split("%")[0]).is_loopback
+
+
+def _holds(folder: Path, policy: Path, target: str, task: str) -> "tuple[Held, ...]":
+    """The ranges that a stress test found, refused if it was another policy's, robot's or task's."""
+    import hashlib
+
+    from toolkit.bundle.manifest import Held
+    from toolkit.io.jsonfiles import read_object
+
+    file = folder / "result.json"
+    content = read_object(file, "give the folder of a finished stress --out")
+    for what, found, wanted in (("policy", content.get("policy"), hashlib.sha256(policy.read_bytes()).hexdigest()),
+                                ("target", content.get("target"), target), ("task", content.get("task"), task)):  # fmt: skip
+        if found != wanted:
+            raise ToolkitError(f"{file} is of {what} {str(found)[:12]}, but what is exported is {wanted[:12]}; give its own stress test")
+    try:
+        tried = {name: [row["conditions"][name] for row in content["alone"] if name in row["conditions"]] for name in content["ranges"]}
+        return tuple(
+            Held(name, found["unit"], found["meaning"], float(found["nominal"]), float(found["low"]), float(found["high"]),
+                 float(min([*tried[name], found["nominal"]])), float(max([*tried[name], found["nominal"]])), content["episodes"])
+            for name, found in content["ranges"].items()
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ToolkitError(f"{file} is no result of a stress test ({error!r}); give the folder of a finished stress --out") from None
 
 
 def _lineage(run: Path, target: str) -> "Lineage":

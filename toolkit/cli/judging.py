@@ -1,7 +1,7 @@
 """evaluate, verify: success of a trained or exported policy."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -10,6 +10,7 @@ from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
+    from toolkit.bundle.reading import Bundle
     from toolkit.evaluation.success import Evaluation
 
 
@@ -79,19 +80,23 @@ def is_bundle(name: str) -> bool:
     return name in shipped_bundles() or path.suffix == ".zip"
 
 
-def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, seed: int = 0, json: bool = False) -> None:
+def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, seed: int = 0, signed_by: Path | None = None,
+           json: bool = False) -> None:  # fmt: skip
     """Prove a bundle: files, golden vectors, recorded episode, limits, and success on the unmodified robot against its label.
 
     Args:
         bundle: folder, .zip, or the name of a shipped bundle.
         episodes: played by the ONNX graph alone through robosuite's own step.
         seed: shifts the episodes' seeds.
+        signed_by: OpenSSH public key; a bundle that its holder has not signed is refused.
         json: print one JSON object.
     """
     from toolkit.bundle.reading import check_bundle, load_bundle
     from toolkit.deploy.runtime import replay_golden
 
     loaded = load_bundle(bundle)
+    if signed_by is not None:
+        check_signer(loaded, signed_by)
     label = loaded.manifest.success
     checked, replayed = check_bundle(loaded), replay_golden(loaded)
     result = bundle_success(bundle, episodes, seed, quiet=json)
@@ -104,14 +109,31 @@ def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, se
         "label": {"successes": label.successes, "episodes": label.episodes, "ci95": list(label.ci95)}, "ok": ok,
     }  # fmt: skip
     said = [
-        f"golden vectors: ONNX error {checked['onnx_max_abs_error']:.1e}, {'ok' if checked['golden_ok'] else 'BROKEN'}",
+        f"golden vectors: errors of {_errors(checked)}, {'ok' if checked['golden_ok'] else 'BROKEN'}",
         f"recorded episode through this machine's kinematics: {max(replayed.values()):.1e}, {'ok' if replay_ok else 'BROKEN'}",
         f"limits: {'kept' if checked['limits_ok'] else 'BROKEN'}",
         f"{sentence(result)}; label {label.successes} of {label.episodes}: {'agrees' if success_ok else 'DISAGREES'}",
     ]
+    if signed_by is not None:
+        said.insert(0, f"signed by the holder of {signed_by}")
     emit(content, json, "\n".join(said))
     if not ok:
         raise SystemExit(1)
+
+
+def _errors(checked: dict[str, Any]) -> str:
+    """Of the files that hold the policy, for people."""
+    named = {"onnx": "policy.onnx", "flat": "policy_flat.onnx", "actor": "actor.safetensors"}
+    found = {name: checked[f"{key}_max_abs_error"] for key, name in named.items()}
+    return ", ".join(f"{name} {error:.1e}" for name, error in found.items() if error is not None)
+
+
+def check_signer(bundle: "Bundle", key: Path) -> None:
+    """Refuse a bundle that the holder of an OpenSSH public key has not signed."""
+    from toolkit.bundle.reading import MANIFEST, SIGNATURE
+    from toolkit.bundle.signing import check_signature
+
+    check_signature(bundle.files[MANIFEST], bundle.files.get(SIGNATURE), key, f"bundle {bundle.path}")
 
 
 def sentence(result: "Evaluation") -> str:

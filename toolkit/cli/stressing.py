@@ -70,7 +70,7 @@ def stress(
     finally:
         ledger.close()
     content = {
-        "target": robot.name, "task": task.name, "episodes": episodes,
+        "policy": who["policy"], "target": robot.name, "task": task.name, "episodes": episodes,
         "ranges": {name: {"low": low, "high": high, "unit": CONDITIONS[name].unit, "nominal": CONDITIONS[name].nominal,
                           "meaning": CONDITIONS[name].meaning} for name, (low, high) in ranges.items()},
         "alone": [_row(tried) for tried in alone], "pairs": [_row(tried) for tried in together],
@@ -96,7 +96,7 @@ def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Ro
             raise ToolkitError(f"{name} is a bundle, whose robot is written in it; leave --target {target} out")
         path = find_bundle(name)
         manifest = load_bundle(path).manifest
-        who = {"policy": manifest.sha256["policy.onnx"], "target": manifest.robot.name, "task": manifest.task.name}
+        who = {"policy": manifest.sha256["policy.safetensors"], "target": manifest.robot.name, "task": manifest.task.name}
         return path, find_robot(manifest.robot.name), find_task(manifest.task.name), who
     import hashlib
 

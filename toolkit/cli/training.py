@@ -123,7 +123,7 @@ def record_run(*run: Any) -> "Story":
 
 def transfer(
     source: str = "adroit",
-    targets: tuple[str, ...] = TARGETS,
+    targets: tuple[str, ...] | None = None,
     task: str = TASK,
     kind: Method = "steiner",
     metric: Metric = "l1",
@@ -150,7 +150,7 @@ def transfer(
 
     Args:
         source: the robot that the expert was trained on.
-        targets: where the policy should go.
+        targets: where the policy should go; default: kinova3 and iiwa for the preset quick, else jaco, kinova3 and iiwa.
         task: what it does; "<object>-wide" starts within 5 cm and 30 degrees instead of 1 cm.
         kind: evolution tree: steiner, geometric-median or independent paths; asking: the shortest tree, left where a robot reached
             is a better start, as looks tell; direct trains on the targets without evolution.
@@ -161,8 +161,9 @@ def transfer(
             default: the preset's, bent for quick and full.
         xi: length of a fixed step, and of the shortest adaptive one; default: the paper's 0.03.
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
-        expert: another policy of the source than the one shipped for the task: a shipped expert's name, or the files of your own
-            without their endings, as EXPERTS/adroit-061_foam_brick-wide-recordings.
+        expert: the source's policy: a shipped expert's name (as adroit-061_foam_brick, which grasps by a script and needs no
+            evolution), or the files of your own without their endings; default: the one that learned the task from recordings of hands,
+            where there is one.
         learner: npg (the natural policy gradient on the weights alone, as in the paper), or search: first an offset of what the policy
             sees, held for an episode, and the weights where that brings no more; default: the preset's.
         exploration: standard deviation of the action's noise when the transfer begins; default: the expert's own.
@@ -174,7 +175,9 @@ def transfer(
         json: print the report as one JSON object at the end.
     """
     said = _said(transfer, locals(), leave_out=("run", "resume", "json"))
-    robot, goals, what = find_robot(source), tuple(find_robot(name) for name in targets), find_task(task)
+    robot, what = find_robot(source), find_task(task)
+    goals = None if targets is None else tuple(find_robot(name) for name in targets)
+    from toolkit.expert.shelf import taught_by_hands
     from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
     config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
@@ -184,7 +187,9 @@ def transfer(
     bent = "" if path is None else f"{path}-"
     taught = "" if expert is None else f"-from-{Path(expert).name}"
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
-    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert)
+    if goals is None:
+        goals = tuple(find_robot(name) for name in PRESETS[preset].get("targets", TARGETS))
+    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task))
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run)
         pipeline.run.write_json("command", {"words": ["transfer", *said]})

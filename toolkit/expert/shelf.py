@@ -60,6 +60,12 @@ def save_expert(policy: GaussianPolicy, value: ValueFunction, folder: Path, name
     (folder / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
 
 
+def taught_by_hands(source: str, task: str) -> str | None:
+    """Name of the shipped expert that learned a task from recordings of hands, None where there is none."""
+    names = [f"{source}-{task}{wide}{RECORDED}" for wide in ("-wide", "")]
+    return next((name for name in names if name in shipped_experts()), None)
+
+
 def load_expert(source: str, task: str, name: str | None = None) -> tuple[GaussianPolicy, ValueFunction]:
     """The expert of a source robot and a task.
 

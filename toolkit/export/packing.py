@@ -34,6 +34,7 @@ from toolkit.bundle.manifest import (
     Finger,
     Golden,
     Graph,
+    Held,
     Joint,
     Lineage,
     Manifest,
@@ -45,14 +46,32 @@ from toolkit.bundle.manifest import (
     Watch,
 )  # fmt: skip
 from toolkit.bundle.onnx_graph import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
-from toolkit.bundle.reading import ACTOR, CONFIG, FLAT_ONNX, GOLDEN, HASHED, MANIFEST, MJCF, ONNX, README, SAFETENSORS, SCHEMA
+from toolkit.bundle.reading import (
+    ACTOR,
+    CONFIG,
+    FLAT_ONNX,
+    GOLDEN,
+    HASHED,
+    MANIFEST,
+    MJCF,
+    ONNX,
+    README,
+    SAFETENSORS,
+    SCENE,
+    SCHEMA,
+    SIGNATURE,
+    URDF,
+)
 from toolkit.bundle.schema import manifest_schema
+from toolkit.bundle.signing import sign
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
 from toolkit.export import datasheet
 from toolkit.export.datasheet import Played, vector
 from toolkit.export.loop import licence, read_simulation
 from toolkit.export.robot_xml import robot_mjcf
+from toolkit.export.scene import scene_mjcf
+from toolkit.export.urdf import GRASP, couplings, robot_urdf
 from toolkit.io.atomic import write_atomically
 from toolkit.io.claims import claim, give_up
 from toolkit.learning.policy import GaussianPolicy
@@ -93,6 +112,9 @@ JUMP_FLOOR = {"finger": 0.15, "closing_progress": 0.1, "grasp_position": 0.03, "
               "object_rotation": 0.3, "goal_from_object": 0.03}  # fmt: skip
 """Change of an observation entry per tick that is never called a jump, in the entry's unit."""
 
+OBJECT, ARM_PREFIX = "object", "robot0_"
+"""What scene.xml calls the object, and robosuite's prefix of an arm's names."""
+GOAL = "set once per policy step from the achieved pose, in the base site's frame, with which it moves until the next"
 FRAMES = {
     "task": "origin on the floor under the table's centre, z up, x from the robot's side of the table towards its far side",
     "base": "robot.base_body: the arm's base, placed in the task frame by robot.base_position_m and robot.base_quaternion",
@@ -155,6 +177,8 @@ def write_bundle(
     out: Path,
     progress: Callable[[str], None] = lambda what: None,
     episodes: tuple[int, int] = (UNDISTURBED, NOISY),
+    key: Path | None = None,
+    holds: tuple[Held, ...] = (),
 ) -> Manifest:
     """Export a policy for a robot with a gripper, as the folder ``out`` and the file ``out``.zip.
 
@@ -170,6 +194,8 @@ def write_bundle(
         out: folder; made if needed, files of an earlier bundle are replaced.
         progress: told what is being done.
         episodes: from which ranges and limits are taken, without and with the noise of training.
+        holds: what ``meta-evolve stress`` measured of it; empty: nothing.
+        key: OpenSSH private key that signs the manifest; None: nobody signs.
 
     Raises:
         ToolkitError: the robot has a hand, the policy has other records, or ``out`` cannot be written.
@@ -191,9 +217,11 @@ def write_bundle(
         raise ToolkitError(f"{out} cannot be a bundle's folder ({error.strerror}); choose another --out") from error
     try:
         with TemporaryDirectory(prefix=".export-", dir=out) as folder:  # an earlier bundle stays whole until this one is
-            manifest = _write(policy, robot, task, dict(config), lineage, success, Path(folder), out.name, progress, episodes)
-            (out / MANIFEST).unlink(missing_ok=True)
-            for name in (*HASHED, MANIFEST):
+            manifest = _write(policy, robot, task, dict(config), lineage, success, Path(folder), out.name, progress, episodes,
+                              key, holds)  # fmt: skip
+            for name in (MANIFEST, SIGNATURE):
+                (out / name).unlink(missing_ok=True)
+            for name in (*HASHED, MANIFEST, *([SIGNATURE] if key else [])):
                 os.replace(Path(folder) / name, out / name)
             os.replace(Path(folder) / ZIPPED, _zip_of(out))
     except OSError as error:
@@ -207,12 +235,13 @@ def write_bundle(
 
 def _write(
     policy: GaussianPolicy, robot: Robot, task: PickTask, config: dict[str, Any], lineage: Lineage, success: Success, folder: Path,
-    name: str, progress: Callable[[str], None], episodes: tuple[int, int],
+    name: str, progress: Callable[[str], None], episodes: tuple[int, int], key: Path | None,
+    holds: tuple[Held, ...],
 ) -> Manifest:  # fmt: skip
     """All files of the bundle ``name``, and its .zip as ZIPPED, into an empty folder."""
     action_map = gripper_action_map()
     export_onnx(policy, folder / ONNX, action_map, OBSERVATION)  # to be measured; once more below, with its metadata
-    manifest, files = _describe(policy, robot, task, action_map, folder / ONNX, config, lineage, success, progress, episodes)
+    manifest, files = _describe(policy, robot, task, action_map, folder / ONNX, config, lineage, success, progress, episodes, holds)
     words = _peer_words(manifest)
     export_onnx(policy, folder / ONNX, action_map, OBSERVATION, manifest.label(), words)
     export_onnx(policy, folder / FLAT_ONNX, action_map, OBSERVATION, manifest.label(), words, flat=True)
@@ -224,7 +253,10 @@ def _write(
         write_atomically(folder / file, content)
     digests = {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in HASHED}
     manifest = Manifest(**(manifest.__dict__ | {"sha256": digests}))
-    write_atomically(folder / MANIFEST, _json(manifest.to_json()))
+    written = _json(manifest.to_json())
+    write_atomically(folder / MANIFEST, written)
+    if key:
+        write_atomically(folder / SIGNATURE, sign(written, key))
     write_atomically(folder / ZIPPED, _zipped(folder, name))
     return manifest
 
@@ -270,7 +302,7 @@ def _zipped(folder: Path, bundle: str) -> bytes:
     """The folder's files below the bundle's name, with the same dates always: same bundle, same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in (MANIFEST, *HASHED):
+        for name in (MANIFEST, *HASHED, *([SIGNATURE] if (folder / SIGNATURE).exists() else [])):
             entry = zipfile.ZipInfo(f"{bundle}/{name}", date_time=(2024, 1, 1, 0, 0, 0))
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, (folder / name).read_bytes())
@@ -279,12 +311,12 @@ def _zipped(folder: Path, bundle: str) -> bytes:
 
 def _describe(
     policy: GaussianPolicy, robot: Robot, task: PickTask, action_map: ActionMap, onnx: Path, config: dict[str, Any], lineage: Lineage,
-    success: Success, progress: Callable[[str], None], episodes: tuple[int, int],
+    success: Success, progress: Callable[[str], None], episodes: tuple[int, int], holds: tuple[Held, ...],
 ) -> tuple[Manifest, dict[str, bytes]]:  # fmt: skip
     """The manifest without the files' hashes, and the files that are neither policy nor manifest."""
     plant = native_plant(robot, task)
     plant.begin(RECORDED_SEED)
-    mjcf, start = robot_mjcf(plant, robot.name), _start(plant)
+    mjcf, start, scene, coupled = robot_mjcf(plant, robot.name), _start(plant), *_scene(robot, plant)
     flange = plain_name(plant.model.body(_flange(plant)).name)
     arm = [plain_name(plant.model.joint(j).name) for j in arm_joints(plant.model)]
     kinematics = Kinematics(mjcf, arm, list(start.fingers), flange, START_ROTATION)
@@ -310,9 +342,20 @@ def _describe(
         joints=_joints(robot, plant, calm), cartesian=_cartesian(calm, task.control_frequency), watch=_watch(calm, task),
         lineage=lineage, success=success,
         golden=golden, graph=Graph(OPSET, IR_VERSION, "float32", "action"), versions=_versions(), run=config,
-        sha256={}, simulation=simulation, licence=licence(),
+        sha256={}, simulation=simulation, licence=licence(), holds=holds,
     )  # fmt: skip
-    return manifest, {MJCF: mjcf.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
+    urdf = robot_urdf(mjcf, manifest, coupled).encode()
+    return manifest, {MJCF: mjcf.encode(), URDF: urdf, SCENE: scene.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
+
+
+def _scene(robot: Robot, plant: Plant) -> tuple[str, dict[str, tuple[str, float, float]]]:
+    """scene.xml, and which finger joints the scene couples to which; the plant stands at the recorded episode's start."""
+    model, item = plant.model, plant.model.body(plant.env.item.root_body).name
+    inside = lambda name: OBJECT if name == item else name.removeprefix(ARM_PREFIX).removeprefix(GRIPPER_PREFIX)  # noqa: E731
+    driven = {robot.gripper.joints[role] for role in robot.gripper.targets}
+    joints = {model.joint(j).name: plain_name(model.joint(j).name) for j in range(model.njnt)}
+    scene = scene_mjcf(model, plant.data, robot.name, inside, {GRIP_SITE: GRASP, BASE_SITE: "base"})
+    return scene, couplings(model, driven, joints)
 
 
 def _lowest(plant: Plant, kinematics: Kinematics) -> Callable[[np.ndarray], float]:
@@ -361,7 +404,7 @@ def _controller(plant: Plant, base: tuple[bool, np.ndarray, np.ndarray], respons
     """robosuite's own controller, read from the environment."""
     osc = plant.env.robots[0].composite_controller.part_controllers["right"]
     return Controller(
-        type=osc.name, input="delta", goal="set once per policy step from the achieved pose", kp=float(osc.kp[0]),
+        type=osc.name, input="delta", goal=GOAL, kp=float(osc.kp[0]),
         damping_ratio=float(osc.kd[0] / (2.0 * np.sqrt(osc.kp[0]))), translation_m=float(osc.output_max[0]),
         rotation_rad=float(osc.output_max[3]), base_site=BASE_SITE, base_axis=vector(base[1]), base_anchor_m=vector(base[2]),
         turns_with_first_joint=base[0], response=response,
@@ -503,6 +546,18 @@ def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
+def _held(holds: tuple[Held, ...]) -> list[str]:
+    """A table of the conditions that the policy bears; nothing where none was measured."""
+    if not holds:
+        return []
+    units = ["" if h.unit == "1" else f" [{h.unit}]" for h in holds]
+    rows = [f"| {h.meaning}{unit} | {h.nominal:g} | {h.low:g} to {h.high:g} | {h.lowest:g} to {h.highest:g} |"
+            for h, unit in zip(holds, units, strict=True)]  # fmt: skip
+    return ["## Where it holds", "",
+            f"In simulation, each condition alone, {holds[0].episodes} episodes of each value: at least 0.9 of them succeeded there.", "",
+            "| condition | in training | holds from, to | tried from, to |", "|---|---|---|---|", *rows, ""]  # fmt: skip
+
+
 def _readme(manifest: Manifest) -> str:
     """The bundle for people."""
     m, s = manifest, manifest.success
@@ -524,7 +579,10 @@ def _readme(manifest: Manifest) -> str:
         "| manifest.json | units, frames, order, ranges, limits, controller, gripper, start, simulation, hashes |",
         "| manifest.schema.json | its JSON schema, with the meaning of every entry |",
         "| golden.npz | observations with their actions, and one whole episode, to test a copy with |",
-        "| robot.xml | the robot for MuJoCo: frames, joints, limits; boxes and capsules that enclose its meshes |", "",
+        "| robot.xml | the robot for MuJoCo: frames, joints, limits; boxes and capsules that enclose its meshes |",
+        "| robot.urdf | the same as URDF, for ROS, Pinocchio and others |",
+        "| scene.xml | robot, motors, couplings, table and object for MuJoCo, to be driven; at the recorded episode's start |", "",
+        *_held(m.holds or ()),
         "## What the seven actions mean", "",
         f"1 to 6: deltas of the controller's goal, 1 = {m.controller.translation_m} m or {m.controller.rotation_rad} rad. "
         "The arm does *not* move that far: the goal is set anew from the achieved pose at every step, and the arm "

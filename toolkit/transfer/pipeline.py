@@ -37,7 +37,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
     "quick": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.9, "path_budget": 600, "check_episodes": 16,
                            "goal_episodes": 20, "check_every": 3},
-              "npg": {"step_size": 0.01}, "evaluation_episodes": 40},
+              "npg": {"step_size": 0.01}, "evaluation_episodes": 40, "targets": ("kinova3", "iiwa")},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
     "full": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.95, "check_every": 2,
                           "path_budget": 15_000},
@@ -46,7 +46,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     # Every number from the paper's table.
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
 }  # fmt: skip
-"""Preset name -> overrides of TransferConfig and NpgConfig, and episodes of the final evaluation."""
+"""Preset name -> overrides of TransferConfig and NpgConfig, episodes of the final evaluation, and targets other than the usual three."""
 AUDITED = 5
 """Robots per edge that are measured before a transfer begins."""
 ENOUGH = 0.8
