@@ -21,10 +21,9 @@ from tasks.npz import ArrayError, Arrays
 from toolkit import cli
 from toolkit.benchmarks.fuzz import FORMATS, fuzz, outcome_of
 from toolkit.bundle.onnx_graph import METADATA_KEY, onnx_from_bytes
-from toolkit.bundle.reading import load_bundle
+from toolkit.bundle.reading import SHIPPED, load_bundle
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
-from toolkit.expert.shelf import SHIPPED
 from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
 from toolkit.io.tensors import read_tensors
 from toolkit.runs.phases import Phase, Take, load_phase

@@ -247,8 +247,8 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
 
     from robots import ROBOTS
     from toolkit.bundle.manifest import Lineage, Success
-    from toolkit.bundle.reading import load_bundle
-    from toolkit.expert.shelf import SHIPPED, load_expert
+    from toolkit.bundle.reading import SHIPPED, load_bundle
+    from toolkit.expert.shelf import load_expert
     from toolkit.export import packing
 
     with zipfile.ZipFile(SHIPPED / "kinova3.zip") as archive:
