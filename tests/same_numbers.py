@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from safetensors.numpy import load_file
 
 from robots import ROBOTS
 from tasks import TASKS
@@ -99,9 +100,10 @@ def main():
         manifest = write_bundle(policy, ROBOTS["kinova3"], task, {}, lineage, label, Path("bundle"), episodes=(1, 1)).to_json()
         said = {key: value for key, value in manifest.items() if key not in ("versions", "git", "sha256", "created")}
         say("manifest", said)
-        for file in ("actor.safetensors", "golden.npz", "robot.xml", "policy.safetensors"):
-            if (Path("bundle") / file).exists():
-                say(f"bundle/{file}", (Path("bundle") / file).read_bytes())
+        for file in ("golden.npz", "robot.xml", "policy.safetensors"):
+            say(f"bundle/{file}", (Path("bundle") / file).read_bytes())
+        actor = load_file("bundle/actor.safetensors")  # its header's entries come in any order
+        say("bundle/actor.safetensors", *(part for name in sorted(actor) for part in (name, actor[name])))
         os.chdir("/")
 
 

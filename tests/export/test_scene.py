@@ -19,7 +19,7 @@ from toolkit.export.urdf import couplings, robot_urdf
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.posture import GRIP_SITE
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 SHIPPED = ("jaco", "kinova3", "iiwa")
 PREFIXES = ("robot0_", "gripper0_right_")
 
