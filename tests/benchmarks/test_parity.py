@@ -11,7 +11,7 @@ from robots import ROBOTS
 from toolkit.benchmarks import parity as measure
 from toolkit.benchmarks.parity import parity
 from toolkit.errors import ToolkitError
-from toolkit.inspection.merged_tree import plot_merged_tree
+from toolkit.inspection.merged_tree import COLOURS, plot_merged_tree
 from toolkit.morphology.matching import CUBE
 
 KEYS = [
@@ -108,7 +108,7 @@ def test_a_robot_that_was_not_merged_is_refused(merged):
 def test_the_merged_tree_is_drawn(matching, tmp_path):
     plot_merged_tree(matching, tmp_path / "tree.png")
     image = matplotlib.image.imread(tmp_path / "tree.png")[..., :3]
-    for colour in measure.COLOURS[: len(matching.names)]:
+    for colour in COLOURS[: len(matching.names)]:
         rgb = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
         share = float((np.abs(image - rgb) < 0.02).all(axis=2).mean())
         assert share > 0.001, f"{colour} covers {share:.2%} of the picture"

@@ -200,7 +200,7 @@ def test_an_expert_has_one_target_its_source(capsys):
 
 @pytest.mark.parametrize("kept", ["name", "folder"])
 def test_an_expert_is_evaluated_by_name_and_from_its_run_folder(capsys, monkeypatch, kept):
-    from toolkit.evaluation.success import success as evaluation
+    from toolkit.evaluation import success as evaluation
     from toolkit.expert.shelf import load_expert
 
     policy, _ = load_expert("adroit", TASK)
