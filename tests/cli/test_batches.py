@@ -197,7 +197,7 @@ def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypat
     played = []
 
     class Fake:
-        def __init__(self, job, folder, resume, watch):
+        def __init__(self, job, folder, resume, watch, recording):
             self.name = folder.name
 
         def play(self):

@@ -413,7 +413,7 @@ def lab(monkeypatch, space, merged, task):
         assert [source.name, *(robot.name for robot in targets)] == list(space.matching.names) and what == task
         return made
 
-    monkeypatch.setattr(toolkit.transfer.pipeline, "Lab", same)
+    monkeypatch.setattr(toolkit.morphology.lab, "Lab", same)
     return made
 
 

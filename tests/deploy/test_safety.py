@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from toolkit.bundle.reading import load_bundle
-from toolkit.demonstrations.tracks import Track
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.kinematics import Kinematics, rotation_of, vector_of
-from toolkit.deploy.motion import Expected
+from toolkit.deploy.motion import Expected, Track
 from toolkit.deploy.runtime import Runtime
 from toolkit.deploy.safety import OVERSHOOT, PASSING
 

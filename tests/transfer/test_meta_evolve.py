@@ -1057,7 +1057,7 @@ def test_where_no_other_policy_holds_the_tree_is_followed(tmp_path):
             off_tree = min(alpha[1], TARGETS[0].alpha[1]) > META[1] + 1e-9 and alpha[2] > META[2] + 1e-9
             return dataclasses.replace(found, success=found.success and not off_tree)
 
-    transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking"), Lonely())
+    transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking", allowance=10_000), Lonely())
     transfer.meta_evolve()
     assert transfer.routes["path 2"] == ["hand", "meta", "left"] and not records(transfer, "left")
 
