@@ -15,7 +15,9 @@ MISTAKES = (ValueError, TypeError, ImportError, NameError, SyntaxError, Attribut
 
 
 def discover(package: str, kind: type[Card]) -> dict[str, Card]:
-    """Every card of a kind in the modules of a package, one by one or in a dictionary, by its name, modules in alphabetical order.
+    """Every card of a kind in the modules of a package, by its name, modules in alphabetical order.
+
+    A module holds each card under a name of its own, or several in a dictionary ``CARDS``.
 
     A module that does not load, or describes what another one does, is left out and named in ``BROKEN``.
 
@@ -27,8 +29,8 @@ def discover(package: str, kind: type[Card]) -> dict[str, Card]:
     where: dict[str, str] = {}
     for module in sorted(info.name for info in iter_modules(sys.modules[package].__path__)):
         try:
-            said = vars(import_module(f"{package}.{module}")).values()
-            cards = [card for one in said for card in (one.values() if isinstance(one, dict) else (one,)) if isinstance(card, kind)]
+            said = vars(import_module(f"{package}.{module}"))
+            cards = [card for card in (*said.values(), *said.get("CARDS", {}).values()) if isinstance(card, kind)]
             twice = next((card.name for card in cards if found.get(card.name, card) is not card), None)
             if twice is not None:
                 raise ValueError(f"{where[twice]}.py and {module}.py in {package}/ both describe {twice!r}; rename one of the two")

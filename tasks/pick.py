@@ -80,7 +80,7 @@ class PickTask:
         return np.concatenate([position, quaternion]), position + np.array(self.goal_offset)
 
 
-TASKS: dict[str, PickTask] = {
+CARDS: dict[str, PickTask] = {
     task.name: task
     for item in OBJECTS.values()
     for task in (PickTask(item), PickTask(item, noise_xy=0.05, noise_yaw=np.deg2rad(30)))

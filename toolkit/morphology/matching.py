@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, slides
 from robots.robot import Robot
-from tasks.pick import TASKS
+from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.morphology.linkage import Linkage, closed_on_box, equivalent_linkages
 from toolkit.morphology.posture import (

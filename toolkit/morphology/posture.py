@@ -129,7 +129,7 @@ def _settle_gripper(model: mujoco.MjModel, qpos: np.ndarray, robot: Robot) -> tu
 
 
 def _nominal_task() -> PickTask:
-    from tasks.pick import TASKS
+    from tasks import TASKS
 
     return TASKS["061_foam_brick"]
 
