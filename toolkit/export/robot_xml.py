@@ -32,31 +32,31 @@ def robot_mjcf(plant: Plant, name: str) -> str:
     for body in robot_bodies(model):
         parent = made.get(int(model.body_parentid[body]), world)
         element = ET.SubElement(parent, "body", name=model.body(body).name.removeprefix("robot0_").removeprefix(GRIPPER_PREFIX),
-                                pos=_text(model.body_pos[body]), quat=_text(model.body_quat[body]))  # fmt: skip
+                                pos=text(model.body_pos[body]), quat=text(model.body_quat[body]))  # fmt: skip
         made[body] = element
         if model.body_mass[body] > 0:
-            ET.SubElement(element, "inertial", pos=_text(model.body_ipos[body]), quat=_text(model.body_iquat[body]),
-                          mass=_text(model.body_mass[body]), diaginertia=_text(model.body_inertia[body]))  # fmt: skip
+            ET.SubElement(element, "inertial", pos=text(model.body_ipos[body]), quat=text(model.body_iquat[body]),
+                          mass=text(model.body_mass[body]), diaginertia=text(model.body_inertia[body]))  # fmt: skip
         for joint in (j for j in range(model.njnt) if model.jnt_bodyid[j] == body):
             dof = model.jnt_dofadr[joint]
             limited = bool(model.jnt_limited[joint])
             attributes = {"name": plain_name(model.joint(joint).name),
                           "type": "slide" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "hinge",
-                          "pos": _text(model.jnt_pos[joint]),
-                          "axis": _text(model.jnt_axis[joint]), "limited": str(limited).lower(),
-                          "ref": _text(model.qpos0[model.jnt_qposadr[joint]]), "damping": _text(model.dof_damping[dof]),
-                          "armature": _text(model.dof_armature[dof]), "frictionloss": _text(model.dof_frictionloss[dof])}  # fmt: skip
+                          "pos": text(model.jnt_pos[joint]),
+                          "axis": text(model.jnt_axis[joint]), "limited": str(limited).lower(),
+                          "ref": text(model.qpos0[model.jnt_qposadr[joint]]), "damping": text(model.dof_damping[dof]),
+                          "armature": text(model.dof_armature[dof]), "frictionloss": text(model.dof_frictionloss[dof])}  # fmt: skip
             if limited:
-                attributes["range"] = _text(model.jnt_range[joint])
+                attributes["range"] = text(model.jnt_range[joint])
             if joint in arm:
-                attributes |= {"actuatorfrclimited": "true", "actuatorfrcrange": _text(effort[joint])}
+                attributes |= {"actuatorfrclimited": "true", "actuatorfrcrange": text(effort[joint])}
             ET.SubElement(element, "joint", attributes)
         for geom in (g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.geom_group[g] == 0):
             _enclose(element, model, geom)
             if model.body(body).name.startswith(GRIPPER_PREFIX) and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
                 _hull(assets, element, model, geom)
         for site in (s for s in range(model.nsite) if model.site_bodyid[s] == body and model.site(s).name == GRIP_SITE):
-            ET.SubElement(element, "site", name="grasp", pos=_text(model.site_pos[site]), quat=_text(model.site_quat[site]))
+            ET.SubElement(element, "site", name="grasp", pos=text(model.site_pos[site]), quat=text(model.site_quat[site]))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -70,10 +70,10 @@ _KINDS = {
 
 def _shape(parent: ET.Element, name: str, kind: int, size: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
     word, count = _KINDS[int(kind)]
-    ET.SubElement(parent, "geom", name=name, type=word, size=_text(size[:count]), pos=_text(position), quat=_text(quaternion))
+    ET.SubElement(parent, "geom", name=name, type=word, size=text(size[:count]), pos=text(position), quat=text(quaternion))
 
 
-def _vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
+def vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """Vertices (n, 3) [m] of a geom's mesh in its frame."""
     mesh = int(model.geom_dataid[geom])
     start = model.mesh_vertadr[mesh]
@@ -81,14 +81,14 @@ def _vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def _hull(assets: ET.Element, parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:
-    name, points = plain_name(model.geom(geom).name) + HULL, _vertices(model, geom)
+    name, points = plain_name(model.geom(geom).name) + HULL, vertices(model, geom)
     try:
         points = points[ConvexHull(points).vertices]
     except QhullError:
         pass  # flat: all of its vertices, then
-    text = " ".join(f"{v:.7f}" for v in points.ravel())  # to 0.05 um
-    ET.SubElement(assets, "mesh", name=name, vertex=text, inertia="shell")
-    ET.SubElement(parent, "geom", name=name, type="mesh", mesh=name, pos=_text(model.geom_pos[geom]), quat=_text(model.geom_quat[geom]),
+    rounded = " ".join(f"{v:.7f}" for v in points.ravel())  # to 0.05 um
+    ET.SubElement(assets, "mesh", name=name, vertex=rounded, inertia="shell")
+    ET.SubElement(parent, "geom", name=name, type="mesh", mesh=name, pos=text(model.geom_pos[geom]), quat=text(model.geom_quat[geom]),
                   contype="0", conaffinity="0", group="3")  # fmt: skip
 
 
@@ -97,7 +97,7 @@ def _enclose(parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:
     if kind in _KINDS:
         _shape(parent, name, kind, model.geom_size[geom], model.geom_pos[geom], model.geom_quat[geom])
         return
-    points = _vertices(model, geom)
+    points = vertices(model, geom)
     centre, half = 0.5 * (points.max(axis=0) + points.min(axis=0)), 0.5 * np.ptp(points, axis=0)
     along = int(np.argmax(half))
     offset = points - centre
@@ -117,5 +117,6 @@ def _enclose(parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:
     _shape(parent, name, mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([radius, length, 0.0]), position, quaternion)
 
 
-def _text(values: np.ndarray | float) -> str:
+def text(values: np.ndarray | float) -> str:
+    """Numbers in full, as an attribute of XML."""
     return " ".join(repr(float(v)) for v in np.atleast_1d(values))

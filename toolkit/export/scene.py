@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from toolkit.errors import ToolkitError
+from toolkit.export.robot_xml import text, vertices
 
 START = "start"
 """Keyframe of the recorded episode's first row: positions, and the motors' targets there."""
@@ -44,10 +45,10 @@ def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Cal
                   boundinertia="0")  # fmt: skip
     option = model.opt
     ET.SubElement(
-        root, "option", timestep=_text(option.timestep), gravity=_text(option.gravity), wind=_text(option.wind),
-        density=_text(option.density), viscosity=_text(option.viscosity), impratio=_text(option.impratio),
+        root, "option", timestep=text(option.timestep), gravity=text(option.gravity), wind=text(option.wind),
+        density=text(option.density), viscosity=text(option.viscosity), impratio=text(option.impratio),
         integrator=INTEGRATORS[option.integrator], cone="elliptic" if option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "pyramidal",
-        solver={0: "PGS", 1: "CG", 2: "Newton"}[int(option.solver)], iterations=str(option.iterations), tolerance=_text(option.tolerance),
+        solver={0: "PGS", 1: "CG", 2: "Newton"}[int(option.solver)], iterations=str(option.iterations), tolerance=text(option.tolerance),
         noslip_iterations=str(option.noslip_iterations),
     )  # fmt: skip
     assets = ET.SubElement(root, "asset")
@@ -60,39 +61,39 @@ def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Cal
                 _geom(elements[body], assets, model, geom, plain)
         for site in _of(model.site_bodyid, body):
             if model.site(site).name in sites:
-                ET.SubElement(elements[body], "site", name=sites[model.site(site).name], pos=_text(model.site_pos[site]),
-                              quat=_text(model.site_quat[site]))  # fmt: skip
+                ET.SubElement(elements[body], "site", name=sites[model.site(site).name], pos=text(model.site_pos[site]),
+                              quat=text(model.site_quat[site]))  # fmt: skip
     _tendons(root, model, plain)
     _equalities(root, model, plain)
     _actuators(root, model, plain)
-    ET.SubElement(ET.SubElement(root, "keyframe"), "key", name=START, qpos=_text(data.qpos), ctrl=_text(data.ctrl))
+    ET.SubElement(ET.SubElement(root, "keyframe"), "key", name=START, qpos=text(data.qpos), ctrl=text(data.ctrl))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
 def _body(parent: ET.Element, model: mujoco.MjModel, body: int, plain: Callable[[str], str]) -> ET.Element:
-    element = ET.SubElement(parent, "body", name=plain(model.body(body).name), pos=_text(model.body_pos[body]),
-                            quat=_text(model.body_quat[body]), gravcomp=_text(model.body_gravcomp[body]))  # fmt: skip
+    element = ET.SubElement(parent, "body", name=plain(model.body(body).name), pos=text(model.body_pos[body]),
+                            quat=text(model.body_quat[body]), gravcomp=text(model.body_gravcomp[body]))  # fmt: skip
     if model.body_mass[body] > 0:
-        ET.SubElement(element, "inertial", pos=_text(model.body_ipos[body]), quat=_text(model.body_iquat[body]),
-                      mass=_text(model.body_mass[body]), diaginertia=_text(model.body_inertia[body]))  # fmt: skip
+        ET.SubElement(element, "inertial", pos=text(model.body_ipos[body]), quat=text(model.body_iquat[body]),
+                      mass=text(model.body_mass[body]), diaginertia=text(model.body_inertia[body]))  # fmt: skip
     for joint in _of(model.jnt_bodyid, body):
         kind, dof, at = mujoco.mjtJoint(model.jnt_type[joint]), int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
         words = {"name": plain(model.joint(joint).name), "type": JOINTS[kind]}
         if kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE):
             words |= {
-                "pos": _text(model.jnt_pos[joint]), "axis": _text(model.jnt_axis[joint]), "ref": _text(model.qpos0[at]),
-                "springref": _text(model.qpos_spring[at]), "stiffness": _text(model.jnt_stiffness[joint]),
-                "damping": _text(model.dof_damping[dof]), "armature": _text(model.dof_armature[dof]),
-                "frictionloss": _text(model.dof_frictionloss[dof]), "solreffriction": _text(model.dof_solref[dof]),
-                "solimpfriction": _text(model.dof_solimp[dof]), "solreflimit": _text(model.jnt_solref[joint]),
-                "solimplimit": _text(model.jnt_solimp[joint]), "margin": _text(model.jnt_margin[joint]),
-                "limited": _word(model.jnt_limited[joint]), "range": _text(model.jnt_range[joint]),
-                "actuatorfrclimited": _word(model.jnt_actfrclimited[joint]), "actuatorfrcrange": _text(model.jnt_actfrcrange[joint]),
+                "pos": text(model.jnt_pos[joint]), "axis": text(model.jnt_axis[joint]), "ref": text(model.qpos0[at]),
+                "springref": text(model.qpos_spring[at]), "stiffness": text(model.jnt_stiffness[joint]),
+                "damping": text(model.dof_damping[dof]), "armature": text(model.dof_armature[dof]),
+                "frictionloss": text(model.dof_frictionloss[dof]), "solreffriction": text(model.dof_solref[dof]),
+                "solimpfriction": text(model.dof_solimp[dof]), "solreflimit": text(model.jnt_solref[joint]),
+                "solimplimit": text(model.jnt_solimp[joint]), "margin": text(model.jnt_margin[joint]),
+                "limited": _word(model.jnt_limited[joint]), "range": text(model.jnt_range[joint]),
+                "actuatorfrclimited": _word(model.jnt_actfrclimited[joint]), "actuatorfrcrange": text(model.jnt_actfrcrange[joint]),
             }  # fmt: skip
         elif model.dof_damping[dof] or model.dof_frictionloss[dof] or model.dof_armature[dof]:
-            words |= {"damping": _text(model.dof_damping[dof]), "armature": _text(model.dof_armature[dof]),
-                      "frictionloss": _text(model.dof_frictionloss[dof])}  # fmt: skip
+            words |= {"damping": text(model.dof_damping[dof]), "armature": text(model.dof_armature[dof]),
+                      "frictionloss": text(model.dof_frictionloss[dof])}  # fmt: skip
         ET.SubElement(element, "joint", words)
     return element
 
@@ -102,11 +103,11 @@ def _geom(parent: ET.Element, assets: ET.Element, model: mujoco.MjModel, geom: i
     if kind not in GEOMS:
         raise _unknown(f"geom {model.geom(geom).name!r} of kind {kind.name}")
     words = {
-        "type": GEOMS[kind], "pos": _text(model.geom_pos[geom]), "quat": _text(model.geom_quat[geom]),
+        "type": GEOMS[kind], "pos": text(model.geom_pos[geom]), "quat": text(model.geom_quat[geom]),
         "contype": str(model.geom_contype[geom]), "conaffinity": str(model.geom_conaffinity[geom]), "mass": "0",
-        "condim": str(model.geom_condim[geom]), "priority": str(model.geom_priority[geom]), "friction": _text(model.geom_friction[geom]),
-        "solmix": _text(model.geom_solmix[geom]), "solref": _text(model.geom_solref[geom]), "solimp": _text(model.geom_solimp[geom]),
-        "margin": _text(model.geom_margin[geom]), "gap": _text(model.geom_gap[geom]),
+        "condim": str(model.geom_condim[geom]), "priority": str(model.geom_priority[geom]), "friction": text(model.geom_friction[geom]),
+        "solmix": text(model.geom_solmix[geom]), "solref": text(model.geom_solref[geom]), "solimp": text(model.geom_solimp[geom]),
+        "margin": text(model.geom_margin[geom]), "gap": text(model.geom_gap[geom]),
     }  # fmt: skip
     if model.geom(geom).name:
         words["name"] = plain(model.geom(geom).name)
@@ -114,15 +115,13 @@ def _geom(parent: ET.Element, assets: ET.Element, model: mujoco.MjModel, geom: i
         words["mesh"] = f"{words.get('name', f'geom {geom}')} hull"
         ET.SubElement(assets, "mesh", name=words["mesh"], vertex=" ".join(f"{v:.9g}" for v in _hull(model, geom).ravel()), inertia="shell")
     else:
-        words["size"] = _text(model.geom_size[geom])
+        words["size"] = text(model.geom_size[geom])
     ET.SubElement(parent, "geom", words)
 
 
 def _hull(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """Vertices (n, 3) [m] of the convex hull of a geom's mesh, in the geom's frame."""
-    mesh = int(model.geom_dataid[geom])
-    start = model.mesh_vertadr[mesh]
-    points = np.asarray(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], float)
+    points = vertices(model, geom)
     try:
         return points[np.sort(ConvexHull(points).vertices)]
     except QhullError:
@@ -137,15 +136,15 @@ def _tendons(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], str
             raise _unknown(f"tendon {model.tendon(tendon).name!r}, which is not a sum of joints")
         element = ET.SubElement(
             parent, "fixed", name=plain(model.tendon(tendon).name), limited=_word(model.tendon_limited[tendon]),
-            range=_text(model.tendon_range[tendon]), stiffness=_text(model.tendon_stiffness[tendon]),
-            damping=_text(model.tendon_damping[tendon]), armature=_text(model.tendon_armature[tendon]),
-            springlength=_text(model.tendon_lengthspring[tendon]), frictionloss=_text(model.tendon_frictionloss[tendon]),
-            margin=_text(model.tendon_margin[tendon]), solreflimit=_text(model.tendon_solref_lim[tendon]),
-            solimplimit=_text(model.tendon_solimp_lim[tendon]), solreffriction=_text(model.tendon_solref_fri[tendon]),
-            solimpfriction=_text(model.tendon_solimp_fri[tendon]),
+            range=text(model.tendon_range[tendon]), stiffness=text(model.tendon_stiffness[tendon]),
+            damping=text(model.tendon_damping[tendon]), armature=text(model.tendon_armature[tendon]),
+            springlength=text(model.tendon_lengthspring[tendon]), frictionloss=text(model.tendon_frictionloss[tendon]),
+            margin=text(model.tendon_margin[tendon]), solreflimit=text(model.tendon_solref_lim[tendon]),
+            solimplimit=text(model.tendon_solimp_lim[tendon]), solreffriction=text(model.tendon_solref_fri[tendon]),
+            solimpfriction=text(model.tendon_solimp_fri[tendon]),
         )  # fmt: skip
         for w in wraps:
-            ET.SubElement(element, "joint", joint=plain(model.joint(model.wrap_objid[w]).name), coef=_text(model.wrap_prm[w]))
+            ET.SubElement(element, "joint", joint=plain(model.joint(model.wrap_objid[w]).name), coef=text(model.wrap_prm[w]))
 
 
 def _equalities(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], str]) -> None:
@@ -159,8 +158,8 @@ def _equalities(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], 
         if model.equality(equality).name:
             named["name"] = plain(model.equality(equality).name)
         ET.SubElement(parent, words, named | {
-            "polycoef": _text(model.eq_data[equality, :5]), "active": _word(model.eq_active0[equality]),
-            "solref": _text(model.eq_solref[equality]), "solimp": _text(model.eq_solimp[equality]),
+            "polycoef": text(model.eq_data[equality, :5]), "active": _word(model.eq_active0[equality]),
+            "solref": text(model.eq_solref[equality]), "solimp": text(model.eq_solimp[equality]),
         })  # fmt: skip
 
 
@@ -173,10 +172,10 @@ def _actuators(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], s
             raise _unknown(f"actuator {model.actuator(a).name!r}")
         ET.SubElement(
             parent, "general", name=plain(model.actuator(a).name), joint=plain(model.joint(model.actuator_trnid[a, 0]).name),
-            gear=_text(model.actuator_gear[a]), ctrllimited=_word(model.actuator_ctrllimited[a]),
-            ctrlrange=_text(model.actuator_ctrlrange[a]), forcelimited=_word(model.actuator_forcelimited[a]),
-            forcerange=_text(model.actuator_forcerange[a]),
-            gaintype="fixed", gainprm=_text(model.actuator_gainprm[a, :3]), biasprm=_text(model.actuator_biasprm[a, :3]),
+            gear=text(model.actuator_gear[a]), ctrllimited=_word(model.actuator_ctrllimited[a]),
+            ctrlrange=text(model.actuator_ctrlrange[a]), forcelimited=_word(model.actuator_forcelimited[a]),
+            forcerange=text(model.actuator_forcerange[a]),
+            gaintype="fixed", gainprm=text(model.actuator_gainprm[a, :3]), biasprm=text(model.actuator_biasprm[a, :3]),
             biastype="none" if bias == mujoco.mjtBias.mjBIAS_NONE else "affine",
         )  # fmt: skip
 
@@ -191,7 +190,3 @@ def _unknown(what: str) -> ToolkitError:
 
 def _word(flag: int) -> str:
     return "true" if flag else "false"
-
-
-def _text(values: np.ndarray | float) -> str:
-    return " ".join(repr(float(v)) for v in np.atleast_1d(values))

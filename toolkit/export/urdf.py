@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.bundle.manifest import Manifest
 from toolkit.errors import ToolkitError
+from toolkit.export.robot_xml import text
 
 ROOT, GRASP = "task", "grasp"
 """Links without mass: the task frame, from which all hangs, and the grasp frame."""
@@ -158,4 +159,4 @@ def _rotation(quaternion: np.ndarray) -> Rotation:
 
 
 def _text(values: np.ndarray | float) -> str:
-    return " ".join(repr(float(v) + 0.0) for v in np.atleast_1d(values))
+    return text(np.asarray(values) + 0.0)  # no "-0.0"
