@@ -48,10 +48,15 @@ QUANTITIES = {
 """Quantity of a capability -> what it is called."""
 
 
-SIDES = {"fingers": "the fingers before the thumb", "thumb": "the thumb before the fingers"}
-"""What may go first on a way that turns a corner -> in words."""
+SIDES = ("fingers", "thumb")
+"""What may go first on a way that turns a corner."""
 LEADS = (1.0, 0.5, 0.25)
 """By which shares of their way the others may then lag behind, the most telling first."""
+
+
+def turning(side: str, lead: float) -> str:
+    """In words, that one of SIDES goes first, and by how much the other then lags behind if it is not the whole way."""
+    return f"{side} first{'' if lead == 1.0 else f', by {lead:.0%}'}"
 
 
 @dataclass(frozen=True)
@@ -78,16 +83,14 @@ class Way:
         return np.clip(self.turn + (gone - legs[0]) / legs[1] * (self.last - self.turn), 0.0, 1.0)
 
     def bent(self, space: EvolutionSpace, side: str, lead: float = 1.0) -> "Way | None":
-        """The same way with one side of the grasp (a key of SIDES) first, by a ``lead``; None: only one side moves on it."""
+        """The same way with one side of the grasp (one of SIDES) first, by a ``lead``; None: only one side moves on it."""
         turn = corner(self.first, self.last, space.side(side), lead)
         return None if turn is None else replace(self, turn=turn, ahead=side, lead=lead)
 
     @property
     def told(self) -> str:
         """Its end, and how it turns if it does."""
-        if self.ahead is None:
-            return self.end
-        return f"{self.end} ({self.ahead} first{'' if self.lead == 1.0 else f', by {self.lead:.0%}'})"
+        return self.end if self.ahead is None else f"{self.end} ({turning(self.ahead, self.lead)})"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from toolkit.capability.audit import turning
 from toolkit.errors import ToolkitError
 
 ROWS = {
@@ -24,8 +25,7 @@ def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(ROWS), max(len(edges), 1), squeeze=False, sharex=True, sharey="row")
     for column, edge in enumerate(edges):
-        lag = "" if edge.get("lead", 1.0) == 1.0 or not edge.get("first") else f", by {edge['lead']:.0%}"
-        turned = f"\n{edge['first']} first{lag}" if edge.get("first") else ""
+        turned = f"\n{turning(edge['first'], edge.get('lead', 1.0))}" if edge.get("first") else ""
         panels[0][column].set_title(f"{edge['from']}\nto {edge['to']}{turned}", fontsize=8)
         for row, (quantity, label) in enumerate(ROWS.items()):
             axes = panels[row][column]
