@@ -154,14 +154,18 @@ class Transfer:
         self.pending.pop()
         branches = []
         for part in sorted(parts, key=lambda p: min(branch.targets.index(name) for name in p)):
-            path = f"path {len(self.costs) + 1}"
-            self.costs[path] = Cost()
+            path = self.new_path([*self.routes[branch.path], "meta"])
             names = [name for name in branch.targets if name in part]
-            self.routes[path] = [*self.routes[branch.path], "meta"]
             branches.append(Branch(path, branch.alpha, names, branch.policy.copy(), branch.value.copy(), noise=branch.noise))
             self.sampler.say("split", branches[-1], parent=branch.path, targets=" ".join(names))
         self.pending += reversed(branches)  # the last one is played first
         return branches
+
+    def new_path(self, route: Sequence[str]) -> str:
+        """Name of one more path, which sets out by that ``route`` and has cost nothing."""
+        path = f"path {len(self.costs) + 1}"
+        self.costs[path], self.routes[path] = Cost(), list(route)
+        return path
 
     def reach(self, branch: Branch) -> None:
         """Line 8: F(beta) is reached. Train there to the goal, then hop to the native robot.
@@ -264,8 +268,7 @@ class Transfer:
     def race(self, branch: Branch, asking: Asking) -> None:
         """Beside a path to a target that costs much another sets out, straight from the source."""
         source, name = asking.origins[0], branch.targets[0]
-        path = f"path {len(self.costs) + 1}"
-        self.costs[path], self.routes[path] = Cost(), list(asking.routes[0])
+        path = self.new_path(asking.routes[0])
         rival = Branch(path, source.alpha, [name], source.policy.copy(), source.value.copy(), noise=source.noise, strayed=True)
         self.pending.append(rival)
         asking.raced.append(name)
