@@ -112,10 +112,10 @@ def test_no_two_purposes_share_seeds():
         for file in sorted(Path(toolkit.__file__).parent.rglob("*.py"))
         for name, value in named.findall(file.read_text())
     }
-    assert {file for file, _ in found} == {"seeds", "settings"}, "seeds are named in one file, a transfer's own beside its schedule"
+    assert {file for file, _ in found} == {"seeds"}, "seeds are named in one file"
     assert found.pop(("seeds", "EVALUATION_SEEDS")) == EVALUATION_SEEDS
-    assert found.pop(("settings", "TRAINING_SEEDS")) == BLOCK, "training's seeds are the first million"
-    assert {("seeds", "EXPERT_SEEDS"), ("seeds", "VISIT_SEEDS"), ("settings", "DEMONSTRATION_SEEDS")} <= found.keys()
+    assert found.pop(("seeds", "TRAINING_SEEDS")) == BLOCK, "training's seeds are the first million"
+    assert {("seeds", "EXPERT_SEEDS"), ("seeds", "VISIT_SEEDS"), ("seeds", "DEMONSTRATION_SEEDS")} <= found.keys()
     blocks = {name: divmod(first, BLOCK) for name, first in found.items()}
     assert len({block for block, _ in blocks.values()}) == len(blocks) and all(rest == 0 for _, rest in blocks.values()), blocks
     assert all(0 < block and (block + 1) * BLOCK <= EVALUATION_SEEDS for block, _ in blocks.values()), blocks

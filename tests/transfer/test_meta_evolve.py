@@ -23,9 +23,9 @@ from toolkit.learning.exploration import Explored, SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
-from toolkit.runs.seeds import EVALUATION_SEEDS
+from toolkit.runs.seeds import CHECKING_SEEDS, EVALUATION_SEEDS, TRAINING_SEEDS
 from toolkit.transfer.meta_evolve import Transfer
-from toolkit.transfer.settings import CHECKING_SEEDS, TRAINING_SEEDS, TransferConfig
+from toolkit.transfer.settings import TransferConfig
 
 SOURCE = Terminal("hand", np.zeros(3))
 TARGETS = [Terminal("left", np.array([0.8, 0.6, 0.2])), Terminal("right", np.array([0.8, 0.2, 0.9]))]

@@ -13,10 +13,11 @@ from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal
 from toolkit.learning.exploration import Directions, Explored, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.npg import Demonstrations, npg_step
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
+from toolkit.runs.seeds import SHOWING_SEEDS
 from toolkit.transfer.branch import TURNS, Branch
-from toolkit.transfer.sampling import LOOK, Player, Sampler, mean_of
-from toolkit.transfer.settings import DEMONSTRATION_SEEDS, TransferConfig
+from toolkit.transfer.sampling import LOOK, Player, Sampler
+from toolkit.transfer.settings import TransferConfig
 
 
 class WeightLearner:
@@ -85,8 +86,8 @@ class WeightLearner:
     def demonstrations(self, update: int) -> Demonstrations | None:
         """What the expert did on the source where it succeeded; a resumed run plays the same again."""
         if self._shown is None and self.config.demonstrations:
-            seeds = [DEMONSTRATION_SEEDS + i for i in range(self.config.demonstrations)]
-            played = self._engine.play(mean_of(self._expert), [self._source.alpha] * len(seeds), seeds)
+            seeds = [SHOWING_SEEDS + i for i in range(self.config.demonstrations)]
+            played = self._engine.play(MeanActor(self._expert), [self._source.alpha] * len(seeds), seeds)
             good = [episode for episode in played if episode.success]
             if not good:
                 raise ToolkitError(f"the expert fails {len(seeds)} times of {len(seeds)} on {self._source.name}; train it again")

@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from toolkit.learning.episode import Episode
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.run import Run
+from toolkit.runs.seeds import CHECKING_SEEDS, TRAINING_SEEDS
 from toolkit.transfer.branch import Branch, Cost
-from toolkit.transfer.settings import CHECKING_SEEDS, TRAINING_SEEDS
 
 LOOK = 8
 """Episodes of the first part of a measurement, after which a look may end it; and of the first part of a search's first batch."""
@@ -24,11 +24,6 @@ class Player(Protocol):
     """Plays a batch of episodes: RolloutEngine on F(alpha), NativeEngine on a robosuite robot."""
 
     def play(self, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]: ...
-
-
-def mean_of(policy: GaussianPolicy) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
-    """The policy without its noise, as an actor."""
-    return lambda observation, rng: policy.mean(observation)
 
 
 class Sampler:
@@ -76,7 +71,7 @@ class Sampler:
         self, branch: Branch, player: Player, alphas: list[np.ndarray], seeds: list[int], policies: list[GaussianPolicy] | None = None
     ) -> list[Episode]:
         """Training episodes, counted: of the branch's policy under its noise, or of ``policies``, one each, without."""
-        actors = branch.policy.act if policies is None else [mean_of(policy) for policy in policies]
+        actors = branch.policy.act if policies is None else [MeanActor(policy) for policy in policies]
         batch = self.play(player, actors, alphas, seeds)
         cost = self.costs[branch.path]
         cost.sim_epochs += len(batch)
@@ -106,7 +101,7 @@ class Sampler:
         needed = math.ceil(wanted * episodes)
         least = needed if floor is None else min(needed, math.ceil(floor * episodes))
         successes = played = 0
-        actor = branch.policy.act if exploring else mean_of(branch.policy)
+        actor = branch.policy.act if exploring else MeanActor(branch.policy)
         while played < episodes and successes < needed and successes + episodes - played >= least:
             size = min(LOOK, episodes - played)
             batch = self.play(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
@@ -125,7 +120,7 @@ class Sampler:
 
     def watch(self, branch: Branch, player: Player, alpha: np.ndarray) -> list[Episode]:
         """A few episodes of the policy on the robot ``alpha`` (D,) that are counted as checks: to see which states it meets."""
-        batch = self.play(player, mean_of(branch.policy), [alpha] * LOOK, [CHECKING_SEEDS + i for i in range(LOOK)])
+        batch = self.play(player, MeanActor(branch.policy), [alpha] * LOOK, [CHECKING_SEEDS + i for i in range(LOOK)])
         self.costs[branch.path].check_episodes += len(batch)
         self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
         self.witness(branch, batch, False, [branch.policy] * len(batch))

@@ -1,4 +1,4 @@
-"""What determines a transfer: TransferConfig, and the seeds that its episodes take."""
+"""What determines a transfer: TransferConfig."""
 
 import math
 from dataclasses import dataclass, field
@@ -15,13 +15,6 @@ Bending = Literal["straight", "bent", "optimised"]
 PATHS: tuple[Bending, ...] = ("straight", "bent", "optimised")
 Learner = Literal["search", "npg"]
 LEARNERS: tuple[Learner, ...] = ("search", "npg")
-
-TRAINING_SEEDS = 10**6
-"""Training episodes take their seeds below this number."""
-CHECKING_SEEDS = 2 * 10**6
-"""The schedule measures success on seeds from here on: the same for every robot (common random numbers), none trained."""
-DEMONSTRATION_SEEDS = 6 * 10**6
-"""What the expert shows on the source is played on seeds from here on."""
 
 
 @dataclass(frozen=True)
