@@ -82,8 +82,12 @@ SUITES: dict[str, dict[str, Entry]] = {
         "hands-direct-0": replace(HANDS, kind="direct", budget=2_200, targets=("kinova3",)),
         # The same expert, by exploration held for an episode.
         **{f"found-tree-{seed}": replace(FOUND, seed=seed) for seed in range(3)},
-        **{f"found-independent-{seed}": replace(FOUND, seed=seed, kind="independent") for seed in range(3)},
-        **{f"found-asking-{seed}": replace(FOUND, seed=seed, kind="asking") for seed in range(3)},
+        # Seeds from 3 on were played after the rule that asks was settled: no choice of it can have been made for them.
+        **{f"found-independent-{seed}": replace(FOUND, seed=seed, kind="independent") for seed in range(6)},
+        **{f"found-asking-{seed}": replace(FOUND, seed=seed, kind="asking") for seed in range(6)},
+        # The same by plain NPG on the weights.
+        "plain-tree-0": replace(FOUND, learner="npg", exploration=HANDS.exploration, budget=None),
+        "plain-independent-0": replace(FOUND, learner="npg", exploration=HANDS.exploration, budget=None, kind="independent"),
         # Two jaws that differ: a Robotiq 2F-85 and a 2F-140.
         **{f"found-jaws-{seed}": replace(FOUND, seed=seed, targets=JAWS) for seed in range(3)},
         **{f"found-jaws-independent-{seed}": replace(FOUND, seed=seed, targets=JAWS, kind="independent") for seed in range(3)},
