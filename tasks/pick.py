@@ -11,6 +11,7 @@ import numpy as np
 
 from grippers.gripper import COMMANDED_ROLES
 from tasks.objects import OBJECTS, PickObject
+from tasks.task import Task, by_number
 
 TABLE_TOP = 0.8
 """Height [m] of the table's surface above the floor: robosuite's table arena."""
@@ -33,7 +34,7 @@ GOAL_OFFSET = np.array([0.0, 0.10, 0.20])
 
 
 @dataclass(frozen=True)
-class PickTask:
+class PickTask(Task):
     """A pick task.
 
     Attributes:
@@ -58,6 +59,8 @@ class PickTask:
     control_frequency: float = 20.0
     title: str | None = None
 
+    control_law = "osc"
+
     def __post_init__(self) -> None:
         if self.title is not None and not re.fullmatch(r"\w[\w-]*", self.title):
             raise ValueError(f"task title {self.title!r} is no name for a folder; use letters, digits, '_' and '-'")
@@ -66,6 +69,31 @@ class PickTask:
     def name(self) -> str:
         """Name on the command line."""
         return self.title or self.object.name + ("-wide" if self.noise_yaw > 0 else "")
+
+    @property
+    def observation(self) -> dict[str, int]:
+        """OBSERVATION."""
+        return OBSERVATION
+
+    @property
+    def action(self) -> dict[str, int]:
+        """ACTION."""
+        return ACTION
+
+    @property
+    def observation_scale(self) -> np.ndarray:
+        """OBSERVATION_SCALE."""
+        return OBSERVATION_SCALE
+
+    @property
+    def explored(self) -> np.ndarray:
+        """EXPLORED, by number."""
+        return by_number(EXPLORED, OBSERVATION)
+
+    @property
+    def responding(self) -> np.ndarray:
+        """RESPONDING, by number."""
+        return by_number(RESPONDING, ACTION)
 
     def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Start of an episode.
@@ -105,17 +133,10 @@ OBSERVATION_SCALE = np.concatenate(
 (or a joint that freezes) is never blown up."""
 
 
-def _by_number(declared: dict[str, float], record: dict[str, int]) -> np.ndarray:
-    """What is declared for entries of a record, for each of its numbers; 0 where nothing is."""
-    return np.concatenate([np.full(size, declared.get(name, 0.0)) for name, size in record.items()])
-
-
 EXPLORED: dict[str, float] = {"object_from_grasp": 0.012, "goal_from_object": 0.05}
 """Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
 where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An object
 that turned in the grasp, or hangs lower in it, is carried past the goal."""
-EXPLORED_DEVIATION = _by_number(EXPLORED, OBSERVATION)
-"""The same as one vector (n_obs,), 0 where nothing is explored."""
 
 ACTION: dict[str, int] = {
     "grasp_translation": 3,  # OSC delta of the grasp frame, 1 = 0.05 m, base axes
@@ -128,8 +149,6 @@ ACTION_SIZE = sum(ACTION.values())
 RESPONDING: dict[str, float] = {"grasp_translation": 0.05}
 """Entries of the action whose response to what the policy meets a search may explore, and the standard deviation of it with which it
 begins, in the action's unit: on a gripper that closes slowly the hand has to wait for it."""
-RESPONDING_DEVIATION = _by_number(RESPONDING, ACTION)
-"""The same as one vector (n_act,), 0 where nothing is explored."""
 
 
 def observe(

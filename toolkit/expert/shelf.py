@@ -6,14 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from tasks.pick import ACTION, OBSERVATION, PickTask
+from tasks.task import entry_names
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
-
-
-def entry_names(record: dict[str, int]) -> list[str]:
-    """One name per number of a record: "name" or "name[k]"."""
-    return [name if size == 1 else f"{name}[{k}]" for name, size in record.items() for k in range(size)]
 
 
 SHIPPED = Path(__file__).parent / "shipped"

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from robots.robot import Robot
-from tasks.pick import EXPLORED_DEVIATION, RESPONDING_DEVIATION, PickTask
+from tasks.pick import PickTask
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
@@ -203,7 +203,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 Explored(EXPLORED_DEVIATION, RESPONDING_DEVIATION), self._bends())  # fmt: skip
+                                 Explored(job.task.explored, job.task.responding), self._bends())  # fmt: skip
         if resume:
             try:
                 self.transfer.restore()

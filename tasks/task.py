@@ -1,0 +1,130 @@
+"""What a task is to the rest of the toolkit, whatever its robots and its simulator.
+
+Two kinds are played today: the pick, whose robots are robosuite's arms with grippers (tasks/pick.py), and tasks whose scene, robot
+included, is one MuJoCo model (``ModelTask``). Both say which records they observe and act by, when they succeed, and which control law
+drives their robots, by name.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from robots.model_robot import ModelRobot
+
+
+def entry_names(record: Mapping[str, int]) -> list[str]:
+    """One name per number of a record: "name" or "name[k]"."""
+    return [name if size == 1 else f"{name}[{k}]" for name, size in record.items() for k in range(size)]
+
+
+def by_number(declared: Mapping[str, float], record: Mapping[str, int], otherwise: float = 0.0) -> np.ndarray:
+    """What is declared for entries of a record, for each of its numbers (n,); ``otherwise`` where nothing is."""
+    return np.concatenate([np.full(size, declared.get(name, otherwise)) for name, size in record.items()])
+
+
+class Task(ABC):
+    """A task: what is observed and done, for how long, and what counts as success.
+
+    Attributes:
+        name: on the command line.
+        control_law: name of the law that turns actions into controls.
+        observation, action: entry -> size, in order; the same for every robot that plays the task.
+        observation_scale: (n_obs,) smallest scale by which a policy normalises each number, in the entry's unit.
+        explored: (n_obs,) standard deviation with which a search begins to explore the offset of each number of the observation; 0: never.
+        responding: (n_act,) the same for the response of each action to what the policy meets.
+        horizon: policy steps of an episode.
+        control_frequency: policy rate [Hz].
+        hold_steps: policy steps at the goal that make a success.
+        consecutive: whether these have to follow one another.
+    """
+
+    control_law: ClassVar[str]
+    consecutive: ClassVar[bool] = True
+    name: str
+    observation: Mapping[str, int]
+    action: Mapping[str, int]
+    observation_scale: np.ndarray
+    explored: np.ndarray
+    responding: np.ndarray
+    horizon: int
+    control_frequency: float
+    hold_steps: int
+
+    @property
+    def observation_names(self) -> list[str]:
+        """One name per number of the observation."""
+        return entry_names(self.observation)
+
+    @property
+    def action_names(self) -> list[str]:
+        """One name per number of the action."""
+        return entry_names(self.action)
+
+
+class Judge:
+    """Counts the steps at the goal: the one judge of an episode, whoever plays it.
+
+    Args:
+        task: whose ``hold_steps`` and ``consecutive`` decide.
+
+    Attributes:
+        held: steps at the goal that count so far.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._needed, self._consecutive = task.hold_steps, task.consecutive
+        self.held = 0
+
+    def tell(self, at_goal: bool) -> bool:
+        """One more policy step was played, and ended at the goal or not; whether the task has succeeded."""
+        self.held = self.held + 1 if at_goal else 0 if self._consecutive else self.held
+        return self.held >= self._needed
+
+
+class Scene(Protocol):
+    """A task's compiled model with its data, read and placed through indices that were looked up once.
+
+    The models of all robots between source and targets have the same elements, so one scene serves while its model's numbers change.
+    """
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Place everything for an episode, on data that was just reset (mj_resetData), and compute it (mj_forward)."""
+
+    def observe(self) -> np.ndarray:
+        """The observation (n_obs,)."""
+
+    def at_goal(self) -> bool:
+        """Whether the goal is met now."""
+
+    def lost(self) -> bool:
+        """Whether success has become impossible, so that the episode may end."""
+
+
+class ModelTask(Task):
+    """A task whose scene, robot included, is one MuJoCo model; any robot of one family plays it.
+
+    Attributes:
+        family: name of the family of robots (robots/model_robot.py).
+        substeps: of physics per policy step.
+    """
+
+    control_law = "actuators"
+    family: ClassVar[str]
+    substeps: int
+
+    @abstractmethod
+    def model(self, robot: "ModelRobot") -> "mujoco.MjModel":
+        """The unmodified robot in the task's scene, compiled."""
+
+    @abstractmethod
+    def scene(self, model: "mujoco.MjModel", data: "mujoco.MjData") -> Scene:
+        """The scene of a model from ``model``, or of any robot in between."""
+
+    @abstractmethod
+    def environment(self, robot: "ModelRobot") -> Any:
+        """The unmodified robot in its own gymnasium environment, on whose ``step`` success is claimed."""
