@@ -11,7 +11,6 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 
-
 SHIPPED = Path(__file__).parent / "shipped"
 """Folder of the experts that come with the package."""
 
