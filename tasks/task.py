@@ -118,8 +118,8 @@ class ModelTask(Task):
     substeps: int
 
     @abstractmethod
-    def model(self, robot: "ModelRobot") -> "mujoco.MjModel":
-        """The unmodified robot in the task's scene, compiled."""
+    def spec(self, robot: "ModelRobot") -> "mujoco.MjSpec":
+        """The unmodified robot in the task's scene, ready to be compiled."""
 
     @abstractmethod
     def scene(self, model: "mujoco.MjModel", data: "mujoco.MjData") -> Scene:

@@ -1,9 +1,7 @@
-"""The evolution space: every robot as a vector theta of named physical parameters, and alpha in [0, 1]^D.
+"""The evolution space of arms with grippers: what the matched robots are, in named physical parameters.
 
-Parameters that differ between the robots are the space. Within one element (an arm joint or a finger with its links),
-parameters whose normalised values agree on every robot move together as one dimension of alpha; this is how the paper
-comes to 65 and 105 independent parameters. What a robot lacks is absent: no mass, no size, frozen; an absent element
-borrows the geometry of the robots that have it, so that only its presence changes.
+An element is an arm joint, or a finger with its links. What a robot lacks is absent: no mass, no size, frozen; an absent element borrows
+the geometry of the robots that have it, so that only its presence changes.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
 from toolkit.morphology.matching import CUBE, UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
+from toolkit.morphology.parameters import Field, ParameterSpace
 
 FROZEN_STIFFNESS = 200.0
 """Spring [N m/rad] that holds a frozen joint: 0.1 N m at a fingertip moves it by half a milliradian."""
@@ -50,51 +49,6 @@ CLOSING = START_ROTATION[:, 0]
 
 THUMB = "TH"
 """Element of the thumb, and of the jaw that stands for it."""
-
-
-@dataclass(frozen=True)
-class Field:
-    """A named array of parameters: one row per item (slot, shape, coupling, ...), one column per component.
-
-    Attributes:
-        name: of the quantity.
-        items: name of each row.
-        elements: arm joint, finger or "gripper" that each row belongs to.
-        components: name of each column ("" for a single one).
-        unit: of every component.
-        values: (n_robots, rows, columns).
-    """
-
-    name: str
-    items: tuple[str, ...]
-    elements: tuple[str, ...]
-    components: tuple[str, ...]
-    unit: str
-    values: np.ndarray
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One entry of theta that differs between robots.
-
-    Attributes:
-        name: "item.quantity.component".
-        unit: of its value.
-        element: what it belongs to.
-        dimension: index of the dimension of alpha that moves it.
-        flipped: True if theta falls as that alpha rises.
-        low, high: bounds over the robots.
-        values: (n_robots,).
-    """
-
-    name: str
-    unit: str
-    element: str
-    dimension: int
-    flipped: bool
-    low: float
-    high: float
-    values: np.ndarray
 
 
 def gyration(mass: float, inertia: np.ndarray) -> np.ndarray:
@@ -260,17 +214,14 @@ def _curve_slots(matching: Matching) -> list[CurveSlot]:
     ]
 
 
-class EvolutionSpace:
-    """Named parameters of a set of robots and the map alpha -> theta.
+class EvolutionSpace(ParameterSpace):
+    """The space of matched arms with grippers.
 
     Args:
         matching: the merged tree; robot 0 is the source.
 
     Attributes:
-        fields: all parameter arrays, differing or not.
-        parameters: the entries that differ, in a fixed order.
-        size: D, the number of dimensions of alpha.
-        betas: (n_robots, D), the robots' own alphas.
+        matching: the same.
     """
 
     def __init__(self, matching: Matching) -> None:
@@ -280,25 +231,12 @@ class EvolutionSpace:
         self.curve_slots = _curve_slots(matching)
         self.axis_references = self._axis_references()
         self.axis_bases = np.array([tangent_basis(reference) for reference in self.axis_references])
-        self.fields = {f.name: f for f in self._fields()}
-        self._thetas = {name: f.values for name, f in self.fields.items()}
-        self.parameters = self._parameters()
-        self.size = 1 + max(p.dimension for p in self.parameters)
-        self.betas = np.empty((len(matching.systems), self.size))
-        for p in self.parameters:
-            normalised = (p.values - p.low) / (p.high - p.low)
-            self.betas[:, p.dimension] = 1.0 - normalised if p.flipped else normalised
-        self._low = np.array([p.low for p in self.parameters])
-        self._span = np.array([p.high - p.low for p in self.parameters])
-        self._dimension = np.array([p.dimension for p in self.parameters])
-        self._flipped = np.array([p.flipped for p in self.parameters])
-        self._offset, self._sense = np.where(self._flipped, 1.0, 0.0), np.where(self._flipped, -1.0, 1.0)
-        self._places = np.array(self._positions)
-        self._flat = np.concatenate([f.values[0].ravel() for f in self.fields.values()])
-        self._cuts, start = [], 0
-        for f in self.fields.values():
-            self._cuts.append((f.name, start, start + f.values[0].size, f.values.shape[1:]))
-            start += f.values[0].size
+        sliding = {slot.name for slot in matching.slots if slot.sliding}
+
+        def unit(field: Field, row: int) -> str:
+            return SLIDE_UNITS.get(field.name, field.unit) if field.items[row] in sliding else field.unit
+
+        super().__init__(matching.names, self._fields(), unit)
 
     def side(self, name: str) -> np.ndarray:
         """Indices of the parameters of one side of the grasp: "thumb", or the "fingers" that oppose it."""
@@ -529,72 +467,3 @@ class EvolutionSpace:
         out.append(Field("torque_limit", arm, arm, ("",), "N m", limits))
         out.append(Field("base_position", ("arm1",), ("arm1",), ("x", "y", "z"), "m", base))
         return out
-
-    # ---- dimensions --------------------------------------------------------------------------------------------
-
-    def _parameters(self) -> list[Parameter]:
-        """The differing entries, each with the dimension that moves it."""
-        dimensions: dict[tuple, int] = {}
-        sliding = {slot.name for slot in self.matching.slots if slot.sliding}
-        out: list[Parameter] = []
-        self._positions: list[int] = []
-        offset = 0
-        for f in self.fields.values():
-            rows, columns = f.values.shape[1:]
-            for row in range(rows):
-                for column in range(columns):
-                    values = f.values[:, row, column]
-                    low, high = float(values.min()), float(values.max())
-                    if high - low > 1e-9 * max(1.0, abs(low), abs(high)):
-                        normalised = (values - low) / (high - low)
-                        flipped = bool(normalised[0] > 0.5)
-                        pattern = tuple(np.round(1.0 - normalised if flipped else normalised, 9))
-                        dimension = dimensions.setdefault((f.elements[row], pattern), len(dimensions))
-                        name = ".".join(part for part in (f.items[row], f.name, f.components[column]) if part)
-                        unit = SLIDE_UNITS.get(f.name, f.unit) if f.items[row] in sliding else f.unit
-                        out.append(Parameter(name, unit, f.elements[row], dimension, flipped, low, high, values))
-                        self._positions.append(offset + row * columns + column)
-            offset += rows * columns
-        return out
-
-    def theta(self, alpha: np.ndarray) -> dict[str, np.ndarray]:
-        """Physical parameters at an evolution parameter (paper, section 3.2): field name -> (rows, columns).
-
-        Args:
-            alpha: (D,), each in [0, 1].
-
-        Raises:
-            ToolkitError: wrong size, not finite, or outside [0, 1].
-        """
-        flat = self._flat.copy()
-        flat[self._places] = self._low + (self._offset + self._sense * self.checked(alpha)[self._dimension]) * self._span
-        return {name: flat[start:stop].reshape(shape) for name, start, stop, shape in self._cuts}
-
-    def checked(self, alpha: np.ndarray) -> np.ndarray:
-        """``alpha`` as float64, refused if it is no point of the space."""
-        alpha = np.asarray(alpha, float)
-        if alpha.shape != (self.size,):
-            raise ToolkitError(f"alpha has shape {alpha.shape}; this evolution space has {self.size} dimensions")
-        if not (alpha.min() >= 0 and alpha.max() <= 1):  # nan is neither
-            worst = int(np.argmax(np.where(np.isfinite(alpha), np.abs(alpha - 0.5), np.inf)))
-            raise ToolkitError(f"alpha[{worst}] = {alpha[worst]} lies outside [0, 1]")
-        return alpha
-
-    def beta(self, name: str) -> np.ndarray:
-        """Evolution parameter (D,) of a robot of the space, by name."""
-        names = self.matching.names
-        if name not in names:
-            raise ToolkitError(f"robot {name!r} is not in this evolution space; it has {', '.join(names)}")
-        return self.betas[names.index(name)].copy()
-
-    def describe(self) -> list[dict]:
-        """One record per parameter: name, unit, element, dimension and value per robot."""
-        names = self.matching.names
-        return [
-            {"name": p.name, "unit": p.unit, "element": p.element, "dimension": p.dimension, "low": p.low,
-             "high": p.high, "values": dict(zip(names, map(float, p.values), strict=True))}
-            for p in self.parameters
-        ]  # fmt: skip
-
-
-__all__ = ["EvolutionSpace", "Field", "Parameter", "System"]
