@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robots import ROBOTS
-from tasks.pick import ACTION_SIZE
+from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION
 from toolkit.demonstrations.scripts import PickScript
-from toolkit.evaluation.success import Evaluation
+from toolkit.evaluation.success import Evaluation, evaluate_native
+from toolkit.expert.shelf import entry_names
+from toolkit.learning.policy import GaussianPolicy
 
 
 def wilson(successes, episodes):
@@ -59,6 +62,47 @@ def test_an_idle_robot_fails(native):
     idle = np.zeros(ACTION_SIZE)
     assert native("kinova3").play(lambda observation: idle, 0, trace) is False
     assert len(trace) == native("kinova3").task.horizon + 1
+
+
+@pytest.mark.parametrize("what", ["speed", "position", "action"])
+def test_a_simulation_that_blows_up_is_no_success_and_is_said(native, what):
+    """MuJoCo resets a state that is no number to the start and goes on, so the observation alone tells nothing."""
+    robot, script = native("kinova3"), PickScript()
+    joint = int(robot.model.jnt_dofadr[robot.model.joint("robot0_Actuator7").id])
+
+    def act(observation):
+        if robot.env.timestep == 3:
+            if what == "action":
+                return np.full(ACTION_SIZE, np.nan)
+            np.put(robot.data.qvel if what == "speed" else robot.data.qpos, joint, 1e12 if what == "speed" else np.nan)
+        return script(observation)
+
+    assert robot.play(act, 0) is False and robot.diverged and robot.env.timestep == (3 if what == "action" else 4)
+    assert robot.play(script, 0) is True and not robot.diverged
+
+
+@pytest.fixture(scope="module")
+def idle():
+    """A policy whose mean action is zero everywhere."""
+    policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), np.random.default_rng(0))
+    policy.set_parameters(np.zeros_like(policy.parameters))
+    return policy
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_divergence_on_the_native_robot_is_counted(task, idle, processes):
+    far = replace(task, horizon=3, noise_xy=1e14)  # an object beyond what MuJoCo takes for a number
+    result = evaluate_native(idle, ROBOTS["kinova3"], far, 4, processes=processes)
+    assert (result.successes, result.diverged) == (0, 4)
+    assert evaluate_native(idle, ROBOTS["kinova3"], replace(task, horizon=3), 1).diverged == 0
+
+
+def test_what_is_evaluated_is_what_was_given_not_what_had_its_name(task, idle):
+    """Tasks and robots are told apart by all that they hold."""
+    near = replace(task, goal_offset=(0.0, 0.0, 0.0), hold_steps=1)  # the object lies at its goal
+    assert near.name == task.name
+    found = [evaluate_native(idle, ROBOTS["kinova3"], what, 1).successes for what in (replace(task, horizon=2), near)]
+    assert found == [0, 1]
 
 
 @pytest.mark.parametrize("name", sorted(ROBOTS))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -243,26 +244,42 @@ def ranges_of(tried: Sequence[Tried]) -> dict[str, tuple[float, float]]:
 
 # ---- playing ---------------------------------------------------------------------------------------------------------
 
-_robots: dict[tuple[str, str], StressedRobot] = {}
-_policies: dict[Path, Any] = {}
+
+class _Player:
+    """Plays a policy on a stressed robot, which is loaded anew once its simulation has blown up.
+
+    Args:
+        robot, task, policy: as for ``stress``.
+    """
+
+    def __init__(self, robot: Robot, task: PickTask, policy: GaussianPolicy | Path) -> None:
+        self._load = partial(StressedRobot, robot, task)
+        self._stressed: StressedRobot | None = None
+        self._native = isinstance(policy, Path)
+        self._act = load_bundle(policy) if isinstance(policy, Path) else policy.mean
+
+    def play(self, conditions: Mapping[str, float], seed: int) -> bool:
+        """Whether the episode of a seed succeeds under conditions."""
+        self._stressed = self._stressed or self._load()
+        self._stressed.conditions = dict(conditions)
+        try:
+            return self._stressed.play(self._act, seed, native=self._native)
+        except (ArithmeticError, ValueError, mujoco.FatalError):  # a simulation that blew up is no success
+            self._stressed = None
+            return False
 
 
-def _play(job: tuple[Robot, PickTask, GaussianPolicy | Path, tuple[tuple[str, float], ...], int]) -> bool:
-    robot, task, policy, conditions, seed = job
-    key = robot.name, task.name
-    if key not in _robots:
-        _robots[key] = StressedRobot(robot, task)
-    stressed = _robots[key]
-    stressed.conditions = dict(conditions)
-    try:
-        if not isinstance(policy, Path):
-            return stressed.play(policy.mean, seed)
-        if policy not in _policies:
-            _policies[policy] = load_bundle(policy)
-        return stressed.play(_policies[policy], seed, native=True)
-    except (ArithmeticError, ValueError, mujoco.FatalError):  # a simulation that blew up is no success
-        _robots.pop(key)
-        return False
+_own_player: _Player | None = None
+"""A worker process's, which lives for one stress test: of one robot, task and policy."""
+
+
+def _play_in_worker(
+    robot: Robot, task: PickTask, policy: GaussianPolicy | Path, conditions: Mapping[str, float], seed: int
+) -> bool:
+    global _own_player
+    if _own_player is None:
+        _own_player = _Player(robot, task, policy)
+    return _own_player.play(conditions, seed)
 
 
 def _key(conditions: Mapping[str, float], seed: int) -> str:
@@ -349,21 +366,28 @@ def stress(
     todo = [(trial, seed) for trial in trials for seed in seeds if _key(trial, seed) not in ledger.known]
     total = len(trials) * episodes
     done = total - len(todo)
-    for (trial, seed), success in _played([(robot, task, policy, tuple(t.items()), s) for t, s in todo], todo, workers):
+    for (trial, seed), success in _played((robot, task, policy), todo, workers):
         ledger.add(trial, seed, success)
         done += 1
         progress(done, total, told_of(trial))
     return [Tried(dict(trial), episodes, sum(ledger.known[_key(trial, seed)] for seed in seeds)) for trial in trials]
 
 
-def _played(jobs: list[tuple], todo: list[tuple], workers: int) -> Iterator[tuple[tuple, bool]]:
+Todo = tuple[Mapping[str, float], int]
+"""Conditions by name, and a seed."""
+
+
+def _played(
+    who: tuple[Robot, PickTask, GaussianPolicy | Path], todo: Sequence[Todo], workers: int
+) -> Iterator[tuple[Todo, bool]]:
     """What was to be done with its success, as it comes."""
-    if workers == 1 or len(jobs) < 2:
-        yield from ((what, _play(job)) for what, job in zip(todo, jobs, strict=True))
+    if workers == 1 or len(todo) < 2:
+        player = _Player(*who)
+        yield from ((what, player.play(*what)) for what in todo)
         return
     try:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
-            futures = {pool.submit(_play, job): what for what, job in zip(todo, jobs, strict=True)}
+            futures = {pool.submit(_play_in_worker, *who, *what): what for what in todo}
             try:
                 for future in as_completed(futures):
                     yield futures[future], future.result()

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
@@ -79,21 +80,29 @@ def evaluate_compiled(policy: GaussianPolicy, robot: Robot, task: PickTask, epis
     return Evaluation(robot.name, "native-compiled", episodes, successes, diverged, seeds[0])
 
 
-_robots: dict[tuple[str, str], NativeRobot] = {}
-_bundles: dict[Path, Bundle] = {}
+Outcome = tuple[bool, bool]
+"""Whether an episode succeeded, and whether its simulation diverged."""
 
 
-def _play_natively(job: tuple[Robot, PickTask, GaussianPolicy | Path, int]) -> bool:
-    robot, task, policy, seed = job
-    key = (robot.name, task.name)
-    if key not in _robots:
-        _robots[key] = NativeRobot(robot, task)
-    if isinstance(policy, Path):
-        if policy not in _bundles:
-            _bundles[policy] = load_bundle(policy)
-            _same_model(_bundles[policy], _robots[key])
-        return _robots[key].play(_bundles[policy], seed, native=True)
-    return _robots[key].play(policy.mean, seed)
+def _player(robot: Robot, task: PickTask, policy: GaussianPolicy | Path) -> Callable[[int], Outcome]:
+    """Plays the episode of a seed on the unmodified robot, which is loaded once."""
+    native = NativeRobot(robot, task)
+    if not isinstance(policy, Path):
+        return lambda seed: (native.play(policy.mean, seed), native.diverged)
+    bundle = load_bundle(policy)
+    _same_model(bundle, native)
+    return lambda seed: (native.play(bundle, seed, native=True), native.diverged)
+
+
+_own_player: Callable[[int], Outcome] | None = None
+"""A worker process's, which lives for one evaluation: of one robot, task and policy."""
+
+
+def _play_in_worker(robot: Robot, task: PickTask, policy: GaussianPolicy | Path, seed: int) -> Outcome:
+    global _own_player
+    if _own_player is None:
+        _own_player = _player(robot, task, policy)
+    return _own_player(seed)
 
 
 def _same_model(bundle: Bundle, native: NativeRobot) -> None:
@@ -127,22 +136,23 @@ def evaluate_native(
         progress: called with episodes done and successes so far.
     """
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
-    jobs = [(robot, task, policy, s) for s in seeds]
     workers = processes or len(os.sched_getaffinity(0))
-    successes = 0
-    for done, success in enumerate(_outcomes(jobs, workers), start=1):
-        successes += success
+    successes, diverged = 0, 0
+    for done, (success, blew_up) in enumerate(_outcomes(robot, task, policy, seeds, workers), start=1):
+        successes, diverged = successes + success, diverged + blew_up
         progress(done, successes)
-    return Evaluation(robot.name, "native", episodes, successes, 0, seeds[0])
+    return Evaluation(robot.name, "native", episodes, successes, diverged, seeds[0])
 
 
-def _outcomes(jobs: Sequence[tuple], workers: int) -> Iterator[bool]:
-    if workers == 1 or len(jobs) < 4:
-        yield from map(_play_natively, jobs)
+def _outcomes(
+    robot: Robot, task: PickTask, policy: GaussianPolicy | Path, seeds: Sequence[int], workers: int
+) -> Iterator[Outcome]:
+    if workers == 1 or len(seeds) < 4:
+        yield from map(_player(robot, task, policy), seeds)
         return
     try:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=start_worker) as pool:
-            yield from pool.map(_play_natively, jobs, chunksize=2)
+            yield from pool.map(partial(_play_in_worker, robot, task, policy), seeds, chunksize=2)
     except BrokenProcessPool:
         raise ToolkitError(
             f"one of {workers} processes that evaluate was killed, perhaps for want of memory, and its episodes are not known; free "

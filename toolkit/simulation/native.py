@@ -10,7 +10,8 @@ from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
 from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
-from toolkit.simulation.plant import CLOSING, command_law, finger_map
+from toolkit.simulation.osc import silence_warnings
+from toolkit.simulation.plant import CLOSING, blew_up, command_law, finger_map
 
 
 class NativeRobot:
@@ -19,12 +20,17 @@ class NativeRobot:
     Args:
         robot: which.
         task: what it does.
+
+    Attributes:
+        diverged: whether the simulation of the episode last played blew up; such an episode has failed.
     """
 
     def __init__(self, robot: Robot, task: PickTask) -> None:
+        silence_warnings()
         self.robot, self.task = robot, task
         self.env: Pick = native_env(robot, task)
         self.env.begin(0)
+        self.diverged = False
         self.model: mujoco.MjModel = self.env.sim.model._model
         self.data: mujoco.MjData = self.env.sim.data._data
         self.law = command_law(robot)
@@ -42,6 +48,7 @@ class NativeRobot:
     def begin(self, seed: int) -> np.ndarray:
         """Reset to the start of a seed; returns the observation (n_obs,)."""
         self.env.begin(seed)
+        self.diverged = False
         self.command = np.full(len(COMMANDED_ROLES), self.law.preshape)
         return self.observe()
 
@@ -67,7 +74,9 @@ class NativeRobot:
         self.env.step(native)
         if self.robot.gripper.rate is not None:  # what robosuite's gripper has integrated
             self.command = np.clip(self.command + self.law.rate * np.sign(native[6]), -1.0, 1.0)
-        return self.observe()
+        observation = self.observe()
+        self.diverged = self.diverged or blew_up(self.data) or not np.isfinite(observation).all()
+        return observation
 
     def observe(self) -> np.ndarray:
         """The observation record (n_obs,), from robosuite's simulation."""
@@ -94,11 +103,13 @@ class NativeRobot:
         for _ in range(self.task.horizon):
             if trace is not None:
                 trace.append(np.array(self.data.qpos))
-            observation = step(act(observation))
-            if not np.isfinite(observation).all():
-                return False
-            if self.env.succeeded or self.env.lost:
+            action = np.asarray(act(observation))
+            if not np.isfinite(action).all():  # robosuite would hand it to its controller, which cannot solve with it
+                self.diverged = True
+                break
+            observation = step(action)
+            if self.diverged or self.env.succeeded or self.env.lost:
                 break
         if trace is not None:
             trace.append(np.array(self.data.qpos))
-        return bool(self.env.succeeded)
+        return bool(self.env.succeeded) and not self.diverged

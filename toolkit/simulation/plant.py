@@ -262,6 +262,11 @@ class Plant:
         return _exploded(self._qvel, self._warnings, WATCHED_WARNINGS, SPEED_LIMIT)
 
 
+def blew_up(data: mujoco.MjData) -> bool:
+    """As ``Plant.diverged``, of any simulation: MuJoCo resets a bad state and goes on, so that only its warnings still tell."""
+    return _exploded(data.qvel, data.warning.number, WATCHED_WARNINGS, SPEED_LIMIT)
+
+
 @osc.compiled
 def all_finite(first: np.ndarray, second: np.ndarray) -> bool:
     """Whether no entry of two vectors is NaN or infinite."""
