@@ -242,10 +242,12 @@ def twin(
 
     if not 0 <= port < 2**16:
         raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
-    manifest = load_bundle(bundle).manifest
-    robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
+    loaded = load_bundle(bundle)
+    robot, task = find_robot(loaded.manifest.robot.name), find_task(loaded.manifest.task.name)
+    from toolkit.export.packing import check_task
     from toolkit.export.twin import Twin, serve
 
+    check_task(loaded.manifest, task, loaded.path)
     try:
         listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

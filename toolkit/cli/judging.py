@@ -153,8 +153,9 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
     manifest = load_bundle(path).manifest
     robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
     from toolkit.evaluation.success import evaluate_native
-    from toolkit.export.packing import check_records
+    from toolkit.export.packing import check_records, check_task
 
     check_records(manifest, path)
+    check_task(manifest, task, path)
     with Progress("evaluate", quiet) as progress:
         return evaluate_native(path, robot, task, episodes, seed, progress=progress.count(f"{robot.name}, unmodified", episodes))

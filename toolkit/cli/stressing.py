@@ -97,7 +97,11 @@ def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Ro
         path = find_bundle(name)
         manifest = load_bundle(path).manifest
         who = {"policy": manifest.sha256["policy.safetensors"], "target": manifest.robot.name, "task": manifest.task.name}
-        return path, find_robot(manifest.robot.name), find_task(manifest.task.name), who
+        robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
+        from toolkit.export.packing import check_task
+
+        check_task(manifest, task, path)
+        return path, robot, task, who
     import hashlib
 
     content, policies, _ = trained_policies(Path(name), target)

@@ -6,6 +6,7 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -165,6 +166,22 @@ def check_records(manifest: Manifest, where: Path) -> None:
                     f"bundle {where} does not fit this release: {kind} {place} is {said[0]!r} {said[1:]}, here it is {right[0]!r} "
                     f"{right[1:]}; export the bundle again"
                 )
+
+
+def check_task(manifest: Manifest, task: PickTask, where: Path) -> None:
+    """Refuse a bundle whose task is not the one that has its name here: its label was measured on another.
+
+    Raises:
+        ToolkitError: the first entry that differs.
+    """
+    said = {"policy_hz": manifest.policy_hz, **asdict(manifest.task)}
+    here = {"policy_hz": task.control_frequency, **asdict(task_card(task))}
+    for entry, value in here.items():
+        if said[entry] != value:
+            raise ToolkitError(
+                f"bundle {where} is of another task {task.name!r}: its {entry} is {said[entry]}, here it is {value}; give the task that "
+                "it was made for its values, or export the bundle again"
+            )
 
 
 def write_bundle(
@@ -335,7 +352,7 @@ def _describe(
     progress("reading what else closes the loop")
     simulation = read_simulation(robot, task, plant, success)
     manifest = Manifest(
-        format=FORMAT, format_version=FORMAT_VERSION, robot=card, task=_task_card(task), frames=FRAMES,
+        format=FORMAT, format_version=FORMAT_VERSION, robot=card, task=task_card(task), frames=FRAMES,
         policy_hz=task.control_frequency, controller_hz=float(round(1.0 / plant.model.opt.timestep)),
         controller=_controller(plant, base, response), observation=_observation(calm, noisy),
         action=_action(calm, action_map), fingers=fingers, gripper=gripper, start=start,
@@ -521,7 +538,8 @@ def _golden(
     return Golden(GOLDEN_TOLERANCE, GOLDEN_VECTORS, RECORDED_SEED, len(seen), bool(success), error), arrays
 
 
-def _task_card(task: PickTask) -> TaskCard:
+def task_card(task: PickTask) -> TaskCard:
+    """A task as a manifest has it."""
     item = task.object
     shape = {"name": item.name, "shape": item.shape, "half_size_m": list(item.half_size), "mass_kg": item.mass}
     return TaskCard(
