@@ -1,0 +1,72 @@
+"""Gymnasium's Ant, and four-legged robots with other torsos, shoulders, hips and legs: the paper's second experiment.
+
+The paper changes "lengths of torsos, thickness of legs, and widths of hips and shoulders" in five dimensions and publishes no number; these
+are our own. The ant runs along +x, so that its shoulders are the legs at +x, whatever the names in the file.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+
+from robots.model_robot import Family, ModelRobot
+
+SHOULDERS = ("front_left_leg", "right_back_leg")
+"""Bodies on which the legs at +x hang, in ant.xml: left, right."""
+HIPS = ("front_right_leg", "back_leg")
+"""Bodies on which the legs at -x hang: left, right."""
+
+TORSO = 0.30
+"""How much longer a torso's half length becomes [m], and with it how far out its legs are mounted; the source's is a ball of 0.25 m."""
+SHOULDER, HIP = 0.20, 0.20
+"""How far out legs are mounted sideways [m]; the source's hang on the torso's centre."""
+FRONT, HIND = 0.04, -0.03
+"""Change of the legs' radius [m]; the source's is 0.08 m."""
+
+ANTS = Family("ant", element=lambda body, quantity: "ant", root="torso")
+
+
+def gymnasium_ant() -> mujoco.MjSpec:
+    """Gymnasium's ant.xml on its floor, from the installed package, its torso's ball as an ellipsoid.
+
+    Nothing else changes but that every body and motor has a name. An ellipsoid of three equal radii is the same solid, weighs the same and meets the floor at one point as the ball does, and it can
+    grow. A capsule of no length would meet the floor at two.
+    """
+    package = Path(find_spec("gymnasium").origin).parent
+    spec = mujoco.MjSpec.from_file(str(package / "envs" / "mujoco" / "assets" / "ant.xml"))
+    torso = spec.geom("torso_geom")
+    torso.type, torso.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [torso.size[0]] * 3
+    for leg in range(1, 5):
+        spec.joint(f"ankle_{leg}").parent.name = f"shank_{leg}"  # which the file leaves unnamed, as it does its motors
+    for motor in spec.actuators:
+        motor.name = motor.target
+    return spec
+
+
+def _ant(name: str, torso: float, shoulder: float, hip: float, front: float, hind: float) -> ModelRobot:
+    """A robot of the family; each parameter is a share, 0 for the source's and 1 for TORSO, SHOULDER, HIP, FRONT, HIND."""
+
+    def change(spec: mujoco.MjSpec) -> None:
+        spec.geom("torso_geom").size[0] += torso * TORSO
+        for legs, end, width, thicker in ((SHOULDERS, 1.0, shoulder * SHOULDER, front * FRONT), (HIPS, -1.0, hip * HIP, hind * HIND)):
+            for body, side in zip(legs, (1.0, -1.0), strict=True):
+                leg = spec.body(body)
+                leg.pos += [end * torso * TORSO, side * width, 0.0]
+                for geom in leg.find_all("geom"):
+                    geom.size[0] += thicker
+
+    return ModelRobot(name, ANTS, change, "a change of gymnasium's ant.xml; no such robot is sold")
+
+
+ANT = ModelRobot("ant", ANTS, lambda spec: None, "gymnasium's ant.xml, as Ant-v5 and before it Ant-v2 play it", source_of_policy=True)
+
+# The first is the coordinate-wise median of the source and the others, so that no meta robot makes the tree shorter: the paper's table of
+# costs has six paths for six targets, and its path to the first is the independent one.
+ANT_1 = _ant("ant-1", torso=0.5, shoulder=0.0, hip=0.0, front=0.5, hind=0.5)
+ANT_2 = _ant("ant-2", torso=1.0, shoulder=0.5, hip=0.0, front=0.5, hind=0.5)
+ANT_3 = _ant("ant-3", torso=1.0, shoulder=1.0, hip=0.0, front=0.5, hind=0.5)
+ANT_4 = _ant("ant-4", torso=0.5, shoulder=0.0, hip=1.0, front=1.0, hind=0.5)
+ANT_5 = _ant("ant-5", torso=0.5, shoulder=0.5, hip=1.0, front=1.0, hind=0.5)
+ANT_6 = _ant("ant-6", torso=0.5, shoulder=0.0, hip=1.0, front=1.0, hind=1.0)
+# In the place of the first one, it is no longer on the way to the others, and the shortest tree has a meta robot where the first one was.
+ANT_1B = _ant("ant-1b", torso=0.5, shoulder=0.0, hip=0.0, front=0.5, hind=0.0)

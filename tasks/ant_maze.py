@@ -1,0 +1,189 @@
+"""An ant finds its way out of a maze: the paper's second experiment, on a maze of our own, as its is not public.
+
+A U of seven cells of 3 m, one around a wall, whose last cell is open to the outside (x to the east, y to the north, the centre at 0):
+
+    +-----------------+
+    | start  ->       |
+    +-----------+     |
+    |###########|  |  |
+    +-----------+  v  |
+    <- out  <-        |
+    ------------------+
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from robots.ant import ANTS, gymnasium_ant
+from robots.model_robot import ModelRobot
+from tasks.task import ModelTask, by_number
+
+if TYPE_CHECKING:
+    import gymnasium
+
+CELL = 3.0
+"""Width [m] of the corridors; an ant's feet stand 2 m apart."""
+WALL_HEIGHT, WALL_WIDTH = 1.0, 0.3
+"""Of the walls [m]; that in the middle is a cell wide."""
+INNER = 1.5 * CELL
+"""Distance [m] of the outer walls' inner faces from the centre."""
+OUTER = INNER + WALL_WIDTH
+"""Distance [m] of their outer faces."""
+WALLS: dict[str, tuple[float, float, float, float]] = {
+    "north": (-OUTER, OUTER, INNER, OUTER),
+    "east": (INNER, OUTER, -INNER, INNER),
+    "south": (-OUTER, OUTER, -OUTER, -INNER),
+    "west": (-OUTER, -INNER, -CELL / 2, INNER),
+    "middle": (-INNER, CELL / 2, -CELL / 2, CELL / 2),
+}
+"""Least and greatest x, least and greatest y [m] of each wall."""
+START = (-CELL, CELL)
+"""Centre of the first cell [m]."""
+START_SHIFT, START_YAW = 0.25, 0.1
+"""Half widths of the uniform noise on where the ant starts [m] and how it is turned [rad]."""
+RESET_NOISE = 0.1
+"""Half width of the uniform noise on every number of the start's configuration, and standard deviation of its speeds, as in Ant-v5."""
+
+OBSERVATION: dict[str, int] = {
+    "height": 1,  # of the torso [m]
+    "orientation": 4,  # of the torso, quaternion, w first
+    **{f"{joint}_{leg}": 1 for leg in range(1, 5) for joint in ("hip", "ankle")},  # angles [rad]
+    "velocity": 3,  # of the torso [m/s], world axes
+    "angular_velocity": 3,  # of the torso [rad/s], its own axes
+    **{f"{joint}_{leg}_speed": 1 for leg in range(1, 5) for joint in ("hip", "ankle")},  # [rad/s]
+    "place": 2,  # x and y of the torso, in half widths of the maze
+}
+"""The observation record: Ant-v5's without contact forces, and where the ant is."""
+ACTION: dict[str, int] = {f"{joint}_{leg}": 1 for leg in (4, 1, 2, 3) for joint in ("hip", "ankle")}
+"""The action record, in the order of ant.xml's motors: share of the joint's greatest torque."""
+
+_SCALES = {"height": 0.1, "orientation": 0.2, "velocity": 1.0, "angular_velocity": 1.0, "place": 0.2}
+OBSERVATION_SCALE = by_number(
+    {name: _SCALES.get(name, 5.0 if name.endswith("speed") else 0.3) for name in OBSERVATION}, OBSERVATION
+)  # fmt: skip
+"""Smallest scale (n_obs,) by which a policy normalises each number."""
+
+EXPLORED: dict[str, float] = {
+    "height": 0.03, "velocity": 0.3, "place": 0.1,
+    **{f"{joint}_{leg}": 0.05 for leg in range(1, 5) for joint in ("hip", "ankle")},
+}  # fmt: skip
+"""Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
+thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns."""
+RESPONDING: dict[str, float] = dict.fromkeys(ACTION, 0.05)
+"""The same for the response of each motor to what the policy meets."""
+
+
+@dataclass(frozen=True)
+class AntMaze(ModelTask):
+    """Leave the maze by its opening.
+
+    Attributes:
+        horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
+    """
+
+    horizon: int = 200
+
+    name = "ant-maze"
+    family = ANTS.name
+    control_frequency = 20.0
+    substeps = 5
+    hold_steps = 1
+
+    @property
+    def observation(self) -> Mapping[str, int]:
+        """OBSERVATION."""
+        return OBSERVATION
+
+    @property
+    def action(self) -> Mapping[str, int]:
+        """ACTION."""
+        return ACTION
+
+    @property
+    def observation_scale(self) -> np.ndarray:
+        """OBSERVATION_SCALE."""
+        return OBSERVATION_SCALE
+
+    @property
+    def explored(self) -> np.ndarray:
+        """EXPLORED, by number."""
+        return by_number(EXPLORED, OBSERVATION)
+
+    @property
+    def responding(self) -> np.ndarray:
+        """RESPONDING, by number."""
+        return by_number(RESPONDING, ACTION)
+
+    def model(self, robot: ModelRobot) -> mujoco.MjModel:
+        """The ant at the start's centre in the maze, compiled."""
+        spec = gymnasium_ant()
+        spec.body("torso").pos[:2] = START
+        for name, (west, east, south, north) in WALLS.items():
+            spec.worldbody.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_BOX, conaffinity=1, rgba=[0.55, 0.6, 0.65, 1.0],
+                pos=[(west + east) / 2, (south + north) / 2, WALL_HEIGHT / 2],
+                size=[(east - west) / 2, (north - south) / 2, WALL_HEIGHT / 2],
+            )  # fmt: skip
+        robot.change(spec)
+        return spec.compile()
+
+    def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntInMaze":
+        """The ant in the maze."""
+        return AntInMaze(model, data)
+
+    def environment(self, robot: ModelRobot) -> "gymnasium.Env":
+        """The same scene, stepped by gymnasium's AntEnv."""
+        from tasks.ant_maze_env import AntMazeEnv
+
+        return AntMazeEnv(self, robot)
+
+
+CARDS: dict[str, AntMaze] = {AntMaze.name: AntMaze()}
+
+
+class AntInMaze:
+    """The scene. Its root joint is the model's first; everything is read from positions and speeds, which are of now after mj_step.
+
+    Args:
+        model, data: compiled by AntMaze.model, or a robot in between.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = model, data
+        self._qpos, self._qvel = data.qpos, data.qvel  # views: a property of mjData costs as much as a short function
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Place the ant in the first cell, as Ant-v5 does at the origin, shifted and turned besides."""
+        qpos, qvel = self._qpos, self._qvel
+        qpos += rng.uniform(-RESET_NOISE, RESET_NOISE, qpos.size)
+        qvel += RESET_NOISE * rng.standard_normal(qvel.size)
+        qpos[:2] = np.array(START) + rng.uniform(-START_SHIFT, START_SHIFT, 2)
+        yaw, turned = rng.uniform(-START_YAW, START_YAW), np.empty(4)
+        mujoco.mju_mulQuat(turned, np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]), qpos[3:7])
+        qpos[3:7] = turned / np.linalg.norm(turned)
+        mujoco.mj_forward(self._model, self._data)
+
+    def observe(self) -> np.ndarray:
+        """The observation record as a vector (29,)."""
+        qpos = self._qpos
+        return np.concatenate([qpos[2:], self._qvel, qpos[:2] / INNER])
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """x and y of the torso [m]."""
+        return float(self._qpos[0]), float(self._qpos[1])
+
+    def at_goal(self) -> bool:
+        """Whether the torso is beyond the outer face of the west wall, where that is open."""
+        x, y = self.place
+        return x < -OUTER and abs(y + CELL) < CELL / 2
+
+    def lost(self) -> bool:
+        """Whether the ant lies on its back, or got over a wall."""
+        x, y = self.place
+        _, i, j, _ = self._qpos[3:7].tolist()
+        return i * i + j * j > 0.5 or (max(abs(x), abs(y)) > OUTER and not self.at_goal())
