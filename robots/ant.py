@@ -27,9 +27,9 @@ ANTS = Family("ant", element=lambda body, quantity: "ant", root="torso")
 
 
 def gymnasium_ant() -> mujoco.MjSpec:
-    """Gymnasium's ant.xml on its floor, from the installed package, its torso's ball as an ellipsoid.
+    """Gymnasium's ant.xml on its floor, from the installed package, its torso's ball as an ellipsoid and every body and motor named.
 
-    Nothing else changes but that every body and motor has a name. An ellipsoid of three equal radii is the same solid, weighs the same and meets the floor at one point as the ball does, and it can
+    An ellipsoid of three equal radii is the same solid, weighs the same and meets the floor at one point as the ball does, and it can
     grow. A capsule of no length would meet the floor at two.
     """
     package = Path(find_spec("gymnasium").origin).parent

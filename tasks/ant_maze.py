@@ -43,8 +43,9 @@ WALLS: dict[str, tuple[float, float, float, float]] = {
 """Least and greatest x, least and greatest y [m] of each wall."""
 START = (-CELL, CELL)
 """Centre of the first cell [m]."""
-START_SHIFT, START_YAW = 0.25, 0.1
-"""Half widths of the uniform noise on where the ant starts [m] and how it is turned [rad]."""
+START_SHIFT, START_YAW = 0.15, 0.1
+"""Half widths of the uniform noise on where the ant starts [m] and how it is turned [rad]: its legs are straight there, and those of the
+longest and widest one nearly reach the walls."""
 RESET_NOISE = 0.1
 """Half width of the uniform noise on every number of the start's configuration, and standard deviation of its speeds, as in Ant-v5."""
 
@@ -118,8 +119,8 @@ class AntMaze(ModelTask):
         """RESPONDING, by number."""
         return by_number(RESPONDING, ACTION)
 
-    def model(self, robot: ModelRobot) -> mujoco.MjModel:
-        """The ant at the start's centre in the maze, compiled."""
+    def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
+        """The ant at the start's centre in the maze."""
         spec = gymnasium_ant()
         spec.body("torso").pos[:2] = START
         for name, (west, east, south, north) in WALLS.items():
@@ -129,7 +130,7 @@ class AntMaze(ModelTask):
                 size=[(east - west) / 2, (north - south) / 2, WALL_HEIGHT / 2],
             )  # fmt: skip
         robot.change(spec)
-        return spec.compile()
+        return spec
 
     def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntInMaze":
         """The ant in the maze."""
@@ -149,7 +150,7 @@ class AntInMaze:
     """The scene. Its root joint is the model's first; everything is read from positions and speeds, which are of now after mj_step.
 
     Args:
-        model, data: compiled by AntMaze.model, or a robot in between.
+        model, data: compiled from AntMaze.spec, or a robot in between.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:

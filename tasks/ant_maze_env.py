@@ -30,7 +30,7 @@ class AntMazeEnv(AntEnv):
         )
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        model = self.task.model(self.robot)
+        model = self.task.spec(self.robot).compile()
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
         data = mujoco.MjData(model)
