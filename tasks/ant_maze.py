@@ -46,6 +46,8 @@ START = (-CELL, CELL)
 START_SHIFT, START_YAW = 0.15, 0.1
 """Half widths of the uniform noise on where the ant starts [m] and how it is turned [rad]: its legs are straight there, and those of the
 longest and widest one nearly reach the walls."""
+ALONG = 0.5
+"""Half width [m] of the uniform noise about the centre line, where an ant starts anywhere along it to learn."""
 RESET_NOISE = 0.1
 """Half width of the uniform noise on every number of the start's configuration, and standard deviation of its speeds, as in Ant-v5."""
 
@@ -84,9 +86,11 @@ class AntMaze(ModelTask):
 
     Attributes:
         horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
+        scattered: share of episodes that start anywhere along the centre line, to learn from; 0: the task itself.
     """
 
     horizon: int = 200
+    scattered: float = 0.0
 
     name = "ant-maze"
     family = ANTS.name
@@ -134,7 +138,11 @@ class AntMaze(ModelTask):
 
     def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntInMaze":
         """The ant in the maze."""
-        return AntInMaze(model, data)
+        return AntInMaze(model, data, self.scattered)
+
+    def progress(self, observations: np.ndarray) -> np.ndarray:
+        """How far along the centre line (N,) [m] the ant is in each observation (N, 29); at the first cell's centre 0, see ``distance``."""
+        return distance(*(observations[:, -2:].T * INNER))
 
     def environment(self, robot: ModelRobot) -> "gymnasium.Env":
         """The same scene, stepped by gymnasium's AntEnv."""
@@ -146,15 +154,56 @@ class AntMaze(ModelTask):
 CARDS: dict[str, AntMaze] = {AntMaze.name: AntMaze()}
 
 
+# -- the centre line: straight through cells, round corners about those of the wall in the middle ------------------------------------
+
+_BEND = CELL / 2
+"""Radius [m] of the centre line's bends."""
+_QUARTER = np.pi / 2 * _BEND
+_STRAIGHTS = (CELL + _BEND, CELL, _BEND + OUTER)
+"""Lengths [m] of the centre line's straight parts, the last to the outer face of the opening."""
+LENGTH = sum(_STRAIGHTS) + 2 * _QUARTER
+"""Of the centre line [m], from the first cell's centre to outside."""
+
+
+def distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Arc length [m] of the centre line from the first cell's centre to the point of it that is nearest to (x, y) [m], arrays alike."""
+    first, second, third = _STRAIGHTS
+    eastwards, westwards = x + CELL, first + second + 2 * _QUARTER + (_BEND - x)
+    turn = first + _BEND * np.arctan2(x - _BEND, y - _BEND)
+    southwards = first + _QUARTER + (_BEND - y)
+    again = first + _QUARTER + second + _BEND * np.arctan2(-(y + _BEND), x - _BEND)
+    return np.where(
+        x < _BEND, np.where(y > 0, eastwards, westwards), np.where(y > _BEND, turn, np.where(y >= -_BEND, southwards, again))
+    )  # fmt: skip
+
+
+def centre_line(along: float) -> np.ndarray:
+    """Point (2,) [m] of the centre line at an arc length [m] from the first cell's centre."""
+    first, second, _ = _STRAIGHTS
+    parts = (
+        (first, lambda s: (s - CELL, CELL)),
+        (_QUARTER, lambda s: (_BEND + _BEND * np.sin(s / _BEND), _BEND + _BEND * np.cos(s / _BEND))),
+        (second, lambda s: (CELL, _BEND - s)),
+        (_QUARTER, lambda s: (_BEND + _BEND * np.cos(s / _BEND), -_BEND - _BEND * np.sin(s / _BEND))),
+        (np.inf, lambda s: (_BEND - s, -CELL)),
+    )
+    for length, at in parts:
+        if along < length:
+            return np.array(at(along))
+        along -= length
+    raise AssertionError("the last part has no end")
+
+
 class AntInMaze:
     """The scene. Its root joint is the model's first; everything is read from positions and speeds, which are of now after mj_step.
 
     Args:
         model, data: compiled from AntMaze.spec, or a robot in between.
+        scattered: AntMaze's.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self._data = model, data
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, scattered: float = 0.0) -> None:
+        self._model, self._data, self._scattered = model, data, scattered
         self._qpos, self._qvel = data.qpos, data.qvel  # views: a property of mjData costs as much as a short function
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -163,6 +212,8 @@ class AntInMaze:
         qpos += rng.uniform(-RESET_NOISE, RESET_NOISE, qpos.size)
         qvel += RESET_NOISE * rng.standard_normal(qvel.size)
         qpos[:2] = np.array(START) + rng.uniform(-START_SHIFT, START_SHIFT, 2)
+        if rng.random() < self._scattered:
+            qpos[:2] = centre_line(rng.uniform(0.0, LENGTH - CELL / 2)) + rng.uniform(-ALONG, ALONG, 2)
         yaw, turned = rng.uniform(-START_YAW, START_YAW), np.empty(4)
         mujoco.mju_mulQuat(turned, np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]), qpos[3:7])
         qpos[3:7] = turned / np.linalg.norm(turned)

@@ -1,6 +1,7 @@
 """The ant's maze: gymnasium's own step agrees with plain mj_step, the opening is the only way out, and only it is success."""
 
 from collections import deque
+from dataclasses import replace
 
 import gymnasium
 import mujoco
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from robots import MODEL_ROBOTS
-from tasks.ant_maze import CARDS, INNER, OUTER, START, START_SHIFT
+from tasks.ant_maze import CARDS, INNER, LENGTH, OUTER, START, START_SHIFT, centre_line
 from tasks.task import Judge
 
 TASK = CARDS["ant-maze"]
@@ -177,3 +178,40 @@ def test_an_episode_ends_outside_and_is_rewarded_at_the_opening_alone(place, rew
     qpos[:2] = place
     env.set_state(qpos, 0 * env.data.qvel)
     assert env.step(np.zeros(8))[1:3] == (reward, True)
+
+
+# -- the centre line -----------------------------------------------------------------------------------------
+
+
+def test_progress_is_the_centre_lines_arc_length():
+    """Against the length of a fine polyline; and it falls off nowhere in the corridors."""
+    along = np.linspace(0, LENGTH, 4001)
+    points = np.array([centre_line(s) for s in along])
+    polyline = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    seen = np.zeros((len(points), 29))
+    seen[:, -2:] = points / INNER
+    np.testing.assert_allclose(TASK.progress(seen), polyline, atol=1e-5)
+    np.testing.assert_allclose(points[[0, -1]], [START, (-OUTER, -3.0)], atol=1e-9)
+    half = np.array([0.0, 0.0, 1.0])
+    for side in (-1.4, 1.4):
+        tangent = np.gradient(points, axis=0)
+        normal = np.cross(half, np.column_stack([tangent, np.zeros(len(points))]))[:, :2]
+        seen[:, -2:] = (points + side * normal / np.linalg.norm(normal, axis=1, keepdims=True)) / INNER
+        np.testing.assert_allclose(TASK.progress(seen), polyline, atol=1e-5, err_msg=f"{side} m beside the centre line")
+
+
+def test_starts_to_learn_from_lie_all_along_the_centre_line():
+    task = replace(TASK, scattered=0.75)
+    model = task.spec(MODEL_ROBOTS["ant"]).compile()
+    data = mujoco.MjData(model)
+    scene = task.scene(model, data)
+    found = []
+    for seed in range(400):
+        begin(model, data, scene, seed)
+        found.append(scene.observe())
+        assert not scene.lost() and not scene.at_goal()
+    along = task.progress(np.array(found))
+    counts = np.histogram(along, bins=8, range=(0, LENGTH - 1.5))[0]
+    assert counts.min() > 15, f"{counts} starts in eighths of the centre line"
+    at_start = (np.abs(np.array(found)[:, -2:] * INNER - START) <= START_SHIFT).all(axis=1)
+    assert 0.18 < at_start.mean() < 0.36
