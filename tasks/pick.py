@@ -95,6 +95,10 @@ class PickTask(Task):
         """RESPONDING, by number."""
         return by_number(RESPONDING, ACTION)
 
+    def miss(self, observation: np.ndarray) -> float:
+        """Distance [m] from the object to the goal."""
+        return float(np.linalg.norm(observation[_GOAL_FROM_OBJECT]))
+
     def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Start of an episode.
 
@@ -125,6 +129,7 @@ OBSERVATION: dict[str, int] = {
 }
 """The observation record: entry -> size. The same for every robot; joints that a robot lacks read zero."""
 OBSERVATION_SIZE = sum(OBSERVATION.values())
+_GOAL_FROM_OBJECT = slice(OBSERVATION_SIZE - OBSERVATION["goal_from_object"], OBSERVATION_SIZE)
 OBSERVATION_SCALE = np.concatenate(
     [np.full(len(COMMANDED_ROLES), 0.3), [1.0], np.full(3, 0.05), np.full(3, 0.1), np.full(3, 0.05), np.full(3, 0.1),
      np.full(3, 0.05)]

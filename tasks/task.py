@@ -55,6 +55,10 @@ class Task(ABC):
     control_frequency: float
     hold_steps: int
 
+    def miss(self, observation: np.ndarray) -> float:
+        """How far from success an episode ended that did not succeed, by its last observation (n_obs,); 0 where a task cannot tell."""
+        return 0.0
+
     @property
     def observation_names(self) -> list[str]:
         """One name per number of the observation."""

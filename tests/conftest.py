@@ -68,7 +68,7 @@ def native(task):
 def native_fast(task):
     """name -> the unmodified robosuite robot under the compiled control step."""
     from robots import ROBOTS
-    from toolkit.simulation.plant import native_plant
+    from toolkit.simulation.laws import native_plant
 
     loaded = {}
 
@@ -95,7 +95,7 @@ def engine(merged):
 def restless():
     """seed -> a random policy, restless enough to reach the clip."""
     from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE
-    from toolkit.expert.shelf import entry_names
+    from tasks.task import entry_names
     from toolkit.learning.policy import GaussianPolicy
 
     def make(seed):

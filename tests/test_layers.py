@@ -62,7 +62,7 @@ def test_leaves_never_import_the_toolkit(path):
 @pytest.mark.parametrize("path", [path for path in TOOLKIT if path.parent != CLI], ids=label)
 def test_the_toolkit_knows_no_robot_by_name(path):
     """Concrete robots and grippers come in as arguments; only the command line looks names up."""
-    allowed = {"robots.robot", "grippers.gripper"}
+    allowed = {"robots.robot", "robots.model_robot", "grippers.gripper"}
     found = [f"{module}{'.' + name if name else ''} (line {line})" for module, name, line in imports(path)
              if module.split(".")[0] in ("robots", "grippers") and module not in allowed]  # fmt: skip
     assert not found, f"{label(path)} imports {found}"

@@ -27,8 +27,8 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.simulation.divergence import STATE
+from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.native import NativeRobot
-from toolkit.simulation.plant import merged_plant, native_plant
 from toolkit.simulation.rollout import RolloutEngine
 
 SOURCE = next(robot for robot in ROBOTS.values() if robot.source_of_policy)
@@ -37,7 +37,7 @@ OTHER_ARMS = list({robot.arm: robot for robot in ROBOTS.values() if robot.arm !=
 
 @pytest.fixture(scope="module")
 def expert(task):
-    return load_expert(SOURCE.name, task.name)[0]
+    return load_expert(SOURCE.name, task)[0]
 
 
 @pytest.mark.parametrize("name", list(ROBOTS))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
+from tasks import TASKS
 from toolkit.benchmarks import metrics as sensitivity
 from toolkit.benchmarks.metrics import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 from toolkit.evolution import Terminal, evolution_tree
@@ -35,7 +36,7 @@ def test_a_metric_that_knows_what_matters_foretells_failure():
 
 def test_real_parameters_change_a_real_rollout(merged, space):
     """The first dimensions, measured twice: the same figures, finite, and not all of them zero."""
-    policy, _ = new_learner(0)
+    policy, _ = new_learner(TASKS["061_foam_brick"], 0)
     first = list(islice(sensitivities(merged, policy, space.betas[0]), 3))
     assert first == list(islice(sensitivities(merged, policy, space.betas[0]), 3))
     assert np.isfinite(first).all() and min(first) >= 0 and max(first) > 0

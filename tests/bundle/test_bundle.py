@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE, is_lost
+from tasks.task import entry_names
 from toolkit.bundle.manifest import FORMAT_VERSION, Lineage, Success, read_manifest
 from toolkit.bundle.onnx_graph import load_onnx
 from toolkit.bundle.reading import FILES, MANIFEST, check_bundle, load_bundle
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.runtime import replay_golden
 from toolkit.errors import ToolkitError
-from toolkit.expert.shelf import entry_names
 from toolkit.export.packing import LOST_BELOW, check_records, write_bundle
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.native_scene import model_sha256

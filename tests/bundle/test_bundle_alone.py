@@ -20,10 +20,10 @@ from robots import ROBOTS
 from tasks import TASKS
 from tasks.env import Pick
 from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION, TABLE_FRICTION
+from tasks.task import entry_names
 from toolkit.bundle.manifest import Lineage, Success
 from toolkit.bundle.reading import FILES, check_bundle, load_bundle, shipped_bundles
 from toolkit.errors import ToolkitError
-from toolkit.expert.shelf import entry_names
 from toolkit.export.packing import write_bundle
 
 TARGETS = ("jaco", "iiwa", "panda")  # an opening preshape, a base that turns with joint 1, fingers that slide

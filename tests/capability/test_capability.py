@@ -20,7 +20,7 @@ from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
 from toolkit.morphology.lab import Lab
 from toolkit.morphology.linkage import BOX_WIDTH, closed_on_box
-from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.laws import merged_plant
 
 
 @pytest.fixture(scope="module")

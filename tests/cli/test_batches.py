@@ -164,7 +164,7 @@ def test_a_target_without_a_policy_leaves_the_others_evaluated(tmp_path, capsys)
     from toolkit.expert.training import new_learner
 
     run = Run.create(tmp_path / "r", {"source": "adroit", "targets": ["kinova3", "iiwa", "jaco"], "task": BRICK})
-    new_learner(0)[0].save(run.path / "kinova3.policy.safetensors")
+    new_learner(TASKS["061_foam_brick"], 0)[0].save(run.path / "kinova3.policy.safetensors")
     (run.path / "jaco.policy.safetensors").write_bytes(b"cut off")
     out, said = refusal(capsys, "evaluate", run.path, "--native", "--episodes", "1", "--json")
     assert json.loads(out)["target"] == "kinova3"

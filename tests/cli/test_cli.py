@@ -13,7 +13,7 @@ import pytest
 import toolkit.transfer.pipeline
 from toolkit import cli
 from toolkit.cli import main
-from toolkit.cli.names import TARGETS, TASK
+from toolkit.cli.names import TARGETS, TASK, find_task
 from toolkit.runs.run import Run
 
 COMMANDS = (
@@ -39,7 +39,7 @@ def learner(monkeypatch):
     from toolkit.expert.training import new_learner
     from toolkit.transfer import pipeline
 
-    monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))
+    monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(task, 0))
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def trained(tmp_path):
     from toolkit.expert.training import new_learner
 
     run = Run.create(tmp_path / "trained", {"source": "adroit", "targets": ["kinova3", "iiwa"], "task": TASK})
-    new_learner(0)[0].save(run.path / "kinova3.policy.safetensors")
+    new_learner(find_task(TASK), 0)[0].save(run.path / "kinova3.policy.safetensors")
     return "trained"
 
 
@@ -203,7 +203,7 @@ def test_an_expert_is_evaluated_by_name_and_from_its_run_folder(capsys, monkeypa
     from toolkit.evaluation import success as evaluation
     from toolkit.expert.shelf import load_expert
 
-    policy, _ = load_expert("adroit", TASK)
+    policy, _ = load_expert("adroit", find_task(TASK))
     Run.create("expert", {"source": "adroit", "task": TASK, "demos": None})
     policy.save(Path("expert/adroit.policy.safetensors"))
     asked = []

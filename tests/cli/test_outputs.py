@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import toolkit.transfer.pipeline as pipeline
+from tasks import TASKS
 from toolkit.cli import main
 from toolkit.cli.terminal import Progress, room_for
 from toolkit.errors import ToolkitError
@@ -208,7 +209,7 @@ def test_a_trained_expert_is_reported_whatever_becomes_of_its_place(tmp_path, mo
     from toolkit.expert.training import new_learner
 
     monkeypatch.chdir(tmp_path)
-    policy, value = new_learner(0)
+    policy, value = new_learner(TASKS["061_foam_brick"], 0)
     monkeypatch.setattr("toolkit.cli.training.make_lab", lambda *_: type("L", (), {"merged": None})())
     monkeypatch.setattr("toolkit.simulation.rollout.RolloutEngine", lambda merged: type("E", (), {"close": lambda self: None})())
     monkeypatch.setattr("toolkit.expert.training.train_expert", lambda *_: (policy, value, {"demonstrations_kept": 3}))

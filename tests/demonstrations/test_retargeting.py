@@ -111,7 +111,7 @@ def test_touching_fingers_are_told_to_close(demonstration):
 
 def test_the_grasp_frame_is_the_plants(demonstration):
     """The same palm as on the robot: from the palm's pose to the grasp frame's as the whole robot has it."""
-    from toolkit.simulation.plant import native_plant
+    from toolkit.simulation.laws import native_plant
 
     plant = native_plant(ROBOTS["adroit"], demonstration.scene.task)
     plant.begin(0)

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION
+from tasks.task import entry_names
 from toolkit.demonstrations.scripts import PickScript
 from toolkit.evaluation.success import Evaluation, evaluate_native
-from toolkit.expert.shelf import entry_names
 from toolkit.learning.policy import GaussianPolicy
 
 

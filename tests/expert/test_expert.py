@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,11 @@ from robots import ROBOTS
 from tasks import TASKS
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
+from tasks.task import entry_names
 from toolkit.demonstrations.scripts import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import evaluate_merged
-from toolkit.expert.shelf import RECORDED, SHIPPED, entry_names, expert_files, load_expert, save_expert, shipped_experts, shipped_pair
+from toolkit.expert.shelf import RECORDED, SHIPPED, expert_files, load_expert, save_expert, shipped_experts, shipped_pair
 from toolkit.expert.training import OBSERVATION_NOISE, ExpertConfig, NoisyScript, _with_noise, new_learner, train_expert
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
@@ -132,7 +134,7 @@ def test_a_few_demonstrations_are_cloned(engine):
     assert len(losses) == 8 and losses[-1] < 0.7 * losses[0], f"cloning went from {losses[0]:.3f} to {losses[-1]:.3f}"
     assert card["demonstrations"] == 6 and 1 <= card["demonstrations_kept"] <= 6
     assert [record["event"] for record in events].count("update") == 1
-    script, fresh = PickScript(), new_learner(0)[0]
+    script, fresh = PickScript(), new_learner(TASKS["061_foam_brick"], 0)[0]
     beta = engine.merged.space.beta(SOURCE)
     seen = np.concatenate([e.observations for e in engine.play(script, [beta] * 2, [900, 901])])
     wanted = np.array([script(observation) for observation in seen])
@@ -193,30 +195,35 @@ def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
 # -- files ---------------------------------------------------------------------------------------------------
 
 
+def named(title):
+    """A pick of another name."""
+    return replace(TASKS["061_foam_brick"], title=title)
+
+
 def test_an_expert_comes_back_as_it_was_saved(tmp_path, monkeypatch):
-    policy, value = new_learner(3)
+    policy, value = new_learner(TASKS["061_foam_brick"], 3)
     save_expert(policy, value, tmp_path / "new" / "folder", "arm-cup", {"command": "made by hand"})
     monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path / "new" / "folder")
-    again, critic = load_expert("arm", "cup")
+    again, critic = load_expert("arm", named("cup"))
     np.testing.assert_array_equal(again.parameters, policy.parameters)
     np.testing.assert_array_equal(critic.parameters, value.parameters)
     assert json.loads((tmp_path / "new" / "folder" / "arm-cup.json").read_text()) == {"command": "made by hand"}
 
 
 def test_any_expert_can_be_named(tmp_path, monkeypatch):
-    policy, value = new_learner(3)
+    policy, value = new_learner(TASKS["061_foam_brick"], 3)
     save_expert(policy, value, tmp_path, "arm-cup-recordings", {})
-    np.testing.assert_array_equal(load_expert("arm", "cup", str(tmp_path / "arm-cup-recordings"))[0].parameters, policy.parameters)
+    np.testing.assert_array_equal(load_expert("arm", named("cup"), str(tmp_path / "arm-cup-recordings"))[0].parameters, policy.parameters)
     monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
-    np.testing.assert_array_equal(load_expert("arm", "mug", "arm-cup-recordings")[0].parameters, policy.parameters)
+    np.testing.assert_array_equal(load_expert("arm", named("mug"), "arm-cup-recordings")[0].parameters, policy.parameters)
     with pytest.raises(ToolkitError, match="there is no expert 'arm-mug'.*arm-cup-recordings"):
-        load_expert("arm", "cup", "arm-mug")
+        load_expert("arm", named("cup"), "arm-mug")
 
 
-@pytest.mark.parametrize("source, task", [("jaco", "061_foam_brick"), ("adroit", "juggling"), ("", "")])
+@pytest.mark.parametrize("source, task", [("jaco", "061_foam_brick"), ("adroit", "juggling"), ("", "cup")])
 def test_an_unknown_pair_gets_the_command_that_trains_it(source, task):
     with pytest.raises(ToolkitError) as refused:
-        load_expert(source, task)
+        load_expert(source, named(task))
     said = str(refused.value)
     assert f"no expert is shipped for source {source!r} and task {task!r}" in said and "adroit-061_foam_brick" in said
     assert shlex.split(said.rsplit("train one with: ", 1)[1]) == ["meta-evolve", "expert", "--source", source, "--task", task]
@@ -226,19 +233,19 @@ def test_a_scripted_expert_goes_before_a_recorded_one_and_the_task_before_its_wi
     monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
     order = ["arm-cup-wide-recordings", "arm-cup-recordings", "arm-cup-wide", "arm-cup"]
     for name in order:
-        save_expert(*new_learner(0), tmp_path, name, {})
+        save_expert(*new_learner(TASKS["061_foam_brick"], 0), tmp_path, name, {})
         assert expert_files("arm", "cup") == (tmp_path / f"{name}.policy.safetensors", tmp_path / f"{name}.value.safetensors")
     assert expert_files("arm", "cup-wide")[0].name == "arm-cup-wide.policy.safetensors"
     assert shipped_experts() == sorted(order) and {shipped_pair(name)[1] for name in order} == {"cup", "cup-wide"}
 
 
 def test_a_pair_of_which_half_is_missing_is_refused(tmp_path, monkeypatch):
-    policy, value = new_learner(0)
+    policy, value = new_learner(TASKS["061_foam_brick"], 0)
     save_expert(policy, value, tmp_path, "arm-cup", {})
     (tmp_path / "arm-cup.value.safetensors").unlink()
     monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
     with pytest.raises(ToolkitError, match="arm-cup.value.safetensors does not exist"):
-        load_expert("arm", "cup")
+        load_expert("arm", named("cup"))
 
 
 # -- what comes with the package -----------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from tasks import TASKS
 from toolkit.benchmarks.fuzz import _run_of
 from toolkit.benchmarks.results import finished_runs
 from toolkit.cli import main
@@ -116,7 +117,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
     run = _run_of(tmp_path)
     config = json.loads((run.path / "config.json").read_text()) | {"source": "adroit", "targets": ["kinova3"], "task": "061_foam_brick"}
     (run.path / "config.json").write_text(json.dumps(config))
-    new_learner(0)[0].save(run.path / "kinova3.policy.safetensors")
+    new_learner(TASKS["061_foam_brick"], 0)[0].save(run.path / "kinova3.policy.safetensors")
 
     class Known:
         merged = None
@@ -141,7 +142,7 @@ def test_an_experts_checkpoint_of_another_version(tmp_path, state):
     from toolkit.expert.training import ExpertConfig, _Training, learner_tensors, new_learner
 
     run = Run.create(tmp_path / "r", {})
-    policy, value = new_learner(0)
+    policy, value = new_learner(TASKS["061_foam_brick"], 0)
     run.save_checkpoint("expert", learner_tensors("expert", policy, value), state)
     training = _Training(None, None, ExpertConfig(), policy, value, np.random.default_rng(0), False, lambda record: None, run)
     with pytest.raises(ToolkitError, match="another version|random generator"):

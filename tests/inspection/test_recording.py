@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
 from toolkit.inspection.drawn_tree import Plan, matrix
@@ -22,7 +23,7 @@ from toolkit.inspection.recording.stream import Stream
 from toolkit.learning.policy import MeanActor
 from toolkit.runs.phases import Phase, Take, Witness, landmarks, load_phases
 from toolkit.runs.run import Run
-from toolkit.simulation.plant import merged_plant, native_plant
+from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.rollout import play
 
 ROOT = Path(__file__).parents[2]
@@ -39,7 +40,7 @@ def small(task):
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_expert("adroit", "061_foam_brick")[0]
+    return load_expert("adroit", TASKS["061_foam_brick"])[0]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def run(small, policy, tmp_path_factory):
     start, end = small.space.betas
     half = start + 0.5 * (end - start)
     cost = {"train_iterations": 0, "sim_epochs": 0, "check_episodes": 2, "diverged": 0}
-    witness = Witness(folder)
+    witness = Witness(folder, TASKS["061_foam_brick"].miss)
     mean = MeanActor(policy)
     plants = {"evolve": lambda alpha: merged_plant(small.merged, alpha, *small.merged.new()),
               "settle": lambda alpha: native_plant(ROBOTS["jaco"], small.task)}  # fmt: skip
@@ -367,7 +368,8 @@ def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
     played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
                    MeanActor(known.policy), 11, known.merged.space.betas[1])]  # fmt: skip
     policies = [known.policy] * len(played)
-    Witness(stuck, {"path 1": 1}).saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
+    witness = Witness(stuck, TASKS["061_foam_brick"].miss, {"path 1": 1})
+    witness.saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
     cost = shows.rebuild(shows.Known(stuck, known.merged, known.policy, known.native, {}))
     assert cost.drawn == cost.known == 3, "two episodes of the phase that ended, one of the phase that did not"
     texts = [row["TextDocument:text"][0] for row in entities(stuck / "recording.rrd")["/signals/caption"]]

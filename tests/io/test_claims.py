@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tasks import TASKS
 from toolkit import cli
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
@@ -182,7 +183,7 @@ def test_a_transfer_whose_preparation_fails_leaves_no_folder(tmp_path, monkeypat
     import toolkit.transfer.pipeline as pipeline
     from toolkit.expert.training import new_learner
 
-    monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(0))
+    monkeypatch.setattr(pipeline, "load_expert", lambda source, task, name: new_learner(task, 0))
 
     def fail(*_):
         raise ToolkitError("the merged robot does not compile")
@@ -256,7 +257,7 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
     (tmp_path / "kinova3.zip").write_bytes((SHIPPED / "kinova3.zip").read_bytes())
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
     lineage = Lineage("adroit", ("kinova3",), (0.0,), "steiner", "l1", 0, 0)
-    arguments = (load_expert("adroit", BRICK)[0], ROBOTS["kinova3"], task, {}, lineage,
+    arguments = (load_expert("adroit", TASKS["061_foam_brick"])[0], ROBOTS["kinova3"], task, {}, lineage,
                  Success(1, 1, 1.0, (0.2, 1.0), 0, "x"))  # fmt: skip
 
     def fail(*_):

@@ -14,7 +14,7 @@ from toolkit.demonstrations.scripts import entry
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import GRIP_SITE, arm_joints
-from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.laws import merged_plant
 
 every_robot = pytest.mark.parametrize("name", list(ROBOTS))
 OPEN = -1.0

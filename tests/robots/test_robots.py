@@ -87,7 +87,7 @@ def test_every_corner_of_the_workspace_is_reachable(native, name):
 @every_robot
 def test_the_sources_expert_grasps_with_it_untrained(native_fast, task, name):
     """The start pose, the roles and the closing sense of a card make the hand's policy meaningful on every gripper."""
-    policy, _ = load_expert("adroit", task.name)
+    policy, _ = load_expert("adroit", task)
     plant = native_fast(name)
     outcomes = [play(plant, MeanActor(policy), seed, np.zeros(1)).success for seed in range(3)]
     assert sum(outcomes) >= 2, f"{name}: the expert of the hand succeeds in {sum(outcomes)} of 3 episodes on robosuite's robot"

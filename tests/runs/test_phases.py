@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
 from toolkit.inspection.film import contacts_of, shoot
@@ -10,15 +11,16 @@ from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
 from toolkit.learning.policy import MeanActor
 from toolkit.runs.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
-from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.laws import merged_plant
 from toolkit.simulation.rollout import play
 
 D = 4
+MISS = TASKS["061_foam_brick"].miss
 
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_expert("adroit", "061_foam_brick")[0]
+    return load_expert("adroit", TASKS["061_foam_brick"])[0]
 
 
 def episode(seed, success=False, steps=5, distance=0.1, diverged=False):
@@ -29,12 +31,16 @@ def episode(seed, success=False, steps=5, distance=0.1, diverged=False):
     return Episode(np.zeros((steps, 38)), np.zeros((steps, 28)), rewards, success, diverged, True, last, np.full(D, 0.5), seed)
 
 
+def mark(played):
+    return score(played, MISS)
+
+
 def saw(witness, policy, episodes, update=0, noise=False):
     witness.saw("path 1", "evolve", ["a"], np.zeros(D), [policy] * len(episodes), episodes, noise, update)
 
 
 def test_the_episodes_worth_seeing_are_picked(tmp_path, policy):
-    witness = Witness(tmp_path)
+    witness = Witness(tmp_path, MISS)
     saw(witness, policy, [episode(0, True, 9), episode(1, False, distance=0.3), episode(2, True, 4), episode(3, False, distance=0.6)])
     saw(witness, policy, [episode(4, True, 6)])
     (phase,) = load_phases(tmp_path).values()
@@ -44,13 +50,13 @@ def test_the_episodes_worth_seeing_are_picked(tmp_path, policy):
 
 
 def test_a_diverged_episode_is_the_worst(tmp_path):
-    assert score(episode(0, diverged=True)) == -np.inf < score(episode(0)) < score(episode(0, True))
-    assert score(episode(0, True, 3)) > score(episode(0, True, 8)), "the sooner the better"
-    assert score(episode(0, distance=0.1)) > score(episode(0, distance=0.2))
+    assert mark(episode(0, diverged=True)) == -np.inf < mark(episode(0)) < mark(episode(0, True))
+    assert mark(episode(0, True, 3)) > mark(episode(0, True, 8)), "the sooner the better"
+    assert mark(episode(0, distance=0.1)) > mark(episode(0, distance=0.2))
 
 
 def test_policies_that_no_kept_episode_was_played_by_go(tmp_path, policy):
-    witness, learning = Witness(tmp_path), policy.copy()
+    witness, learning = Witness(tmp_path, MISS), policy.copy()
     for update in range(6):
         saw(witness, learning, [episode(update, True, 9 - update)], update, noise=True)
         learning.set_parameters(learning.parameters + 1e-3)
@@ -63,12 +69,12 @@ def test_policies_that_no_kept_episode_was_played_by_go(tmp_path, policy):
 def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
     """A killed run plays its last batch again when it is resumed."""
     batches = [[episode(0, True, 9), episode(1)], [episode(2, True, 4), episode(3, False, distance=0.5)]]
-    straight, resumed = Witness(tmp_path / "a"), Witness(tmp_path / "b")
+    straight, resumed = Witness(tmp_path / "a", MISS), Witness(tmp_path / "b", MISS)
     for run, witness in ((tmp_path / "a", straight), (tmp_path / "b", resumed)):
         run.mkdir()
         for update, batch in enumerate(batches):
             saw(witness, policy, batch, update)
-    again = Witness(tmp_path / "b")
+    again = Witness(tmp_path / "b", MISS)
     saw(again, policy, batches[1], 1)
     phases = [load_phases(tmp_path / run)["path-1-000-evolve"] for run in "ab"]
     assert len({tuple(phase.take(role).seed for role in ROLES) for phase in phases}) == 1
@@ -79,7 +85,7 @@ def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, pol
     offset = np.full(38, 0.01)
     directions = Directions(Explored(np.ones(38), np.zeros(1)), np.zeros((0, policy.hidden[-1] + 1)))
     pair = [directions.moved(policy, offset), directions.moved(policy, -offset)]
-    for witness in (Witness(tmp_path), Witness(tmp_path)):
+    for witness in (Witness(tmp_path, MISS), Witness(tmp_path, MISS)):
         witness.saw("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
     (phase,) = load_phases(tmp_path).values()
     assert len(phase.takes) == len(phase.policies) == 2
@@ -89,7 +95,7 @@ def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, pol
 
 
 def test_phases_count_on_where_each_path_was(tmp_path, policy):
-    witness = Witness(tmp_path, {"path 1": 2})
+    witness = Witness(tmp_path, MISS, {"path 1": 2})
     saw(witness, policy, [episode(0)])
     ended = witness.ends("path 1", "evolve", ["a"], np.zeros(D), np.ones(D))
     assert ended.name == "path-1-002-evolve" and load_phases(tmp_path)["path-1-002-evolve"].end.tolist() == [1.0] * D

@@ -11,7 +11,7 @@ from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE
 from toolkit.demonstrations.scripts import PickScript
 from toolkit.errors import ToolkitError
 from toolkit.simulation.divergence import Divergence, replay
-from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.laws import merged_plant
 from toolkit.simulation.rollout import RolloutEngine, Tape, play
 
 FIELDS = (

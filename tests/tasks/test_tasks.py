@@ -31,7 +31,7 @@ from tasks.pick import (
 )  # fmt: skip
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import native_env
-from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.laws import merged_plant
 from toolkit.simulation.rollout import play
 
 every_object = pytest.mark.parametrize("name", sorted(OBJECTS))

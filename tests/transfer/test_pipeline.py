@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
+from tasks import TASKS
 from tasks.pick import ACTION, OBSERVATION
+from tasks.task import entry_names
 from toolkit.cli.training import record_run
 from toolkit.errors import ToolkitError
-from toolkit.expert.shelf import entry_names, load_expert
+from toolkit.expert.shelf import load_expert
 from toolkit.inspection.recording.viewer import reader_of
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy
@@ -133,7 +135,7 @@ def test_the_schedule_went_the_whole_way(played):
 def test_the_policy_is_the_experts_child(played):
     """Changed exactly if it was trained, and otherwise the expert bit for bit."""
     folder, report, watched = played
-    policy, (expert, _) = policy_of(folder), load_expert("adroit", "061_foam_brick")
+    policy, (expert, _) = policy_of(folder), load_expert("adroit", TASKS["061_foam_brick"])
     learned = any(record["event"] == "update" and record["kl"] > 0 for record in watched)
     assert np.array_equal(policy.parameters, expert.parameters) is not learned
 

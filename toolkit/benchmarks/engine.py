@@ -30,9 +30,10 @@ from toolkit.morphology.matching import match
 from toolkit.morphology.posture import arm_joints
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.simulation import osc
+from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.osc import STATE
-from toolkit.simulation.plant import Plant, merged_plant, native_plant
+from toolkit.simulation.plant import Plant
 from toolkit.simulation.rollout import Actor, RolloutEngine, Tape, play, play_on
 
 STRETCH = 4

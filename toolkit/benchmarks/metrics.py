@@ -17,7 +17,7 @@ from toolkit.evolution import Terminal, evolution_tree
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.seeds import SENSITIVITY_SEEDS
-from toolkit.simulation.plant import merged_plant
+from toolkit.simulation.laws import merged_plant
 from toolkit.simulation.rollout import RolloutEngine, Tape, play_on
 
 REACH = 0.1

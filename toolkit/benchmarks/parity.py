@@ -20,7 +20,8 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, SETTLED, SQUEEZE, become_box, clamp, jaws_meet
 from toolkit.morphology.matching import CUBE, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
-from toolkit.simulation.plant import Plant, merged_plant, native_plant
+from toolkit.simulation.laws import merged_plant, native_plant
+from toolkit.simulation.plant import Plant
 
 CONFIGURATIONS = 100
 """Random arm configurations for the forward kinematics and the mass matrix."""

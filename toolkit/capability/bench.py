@@ -15,7 +15,8 @@ from toolkit.demonstrations.scripts import PickScript, pick_script
 from toolkit.morphology.build import HAND_BIT, MergedRobot
 from toolkit.morphology.linkage import BOX_HALF_SIZE, SETTLED, closed_on_box
 from toolkit.runs.seeds import SCRIPT_SEEDS
-from toolkit.simulation.plant import Plant, merged_plant
+from toolkit.simulation.laws import merged_plant
+from toolkit.simulation.plant import Plant
 from toolkit.simulation.rollout import play
 
 WIDTHS = (0.03, 0.05, 0.07)

@@ -172,7 +172,7 @@ def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str
     from toolkit.transfer.pipeline import Pipeline
 
     for job in jobs.values():  # say what is missing before hours are spent
-        load_expert(job.source.name, job.task.name, job.expert)
+        load_expert(job.source.name, job.task, job.expert)
     failed = {}
     for name, job in jobs.items():
         folder = out / name
@@ -222,7 +222,7 @@ def bench_engine(
     from toolkit.benchmarks.engine import measure_engine, performance_page
     from toolkit.expert.shelf import load_expert
 
-    policy, _ = load_expert(source, task)
+    policy, _ = load_expert(source, find_task(task))
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
     with Progress("engine", quiet=json) as progress:
         found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
@@ -296,7 +296,7 @@ def bench_walk(
     from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
-    policy, _ = load_expert(source, task, expert)
+    policy, _ = load_expert(source, lab.task, expert)
     tree = lab.tree(metric, kind)
     total = len(tree.edges) * (steps + 1)
     found = []
@@ -389,7 +389,7 @@ def bench_metric(
     from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
-    policy, _ = load_expert(source, task, expert)
+    policy, _ = load_expert(source, lab.task, expert)
     with Progress("metric", quiet=json) as progress:
         measured = lambda done, total: progress.show("weights", f"{done} of {total} parameters", done, total)  # noqa: E731
         found = compare_metrics(RolloutEngine(lab.merged), policy, *lab.terminals(), robots, episodes, seed, measured)

@@ -253,19 +253,17 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
 
 def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     """A run folder with everything needed to play it again."""
-    from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert.shelf import POLICY_FILE, entry_names, load_expert
+    from toolkit.expert.shelf import POLICY_FILE, load_expert
     from toolkit.inspection.recording.shows import Known
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.simulation.plant import native_plant
+    from toolkit.simulation.laws import native_plant
 
     content = transfer_config(folder)
     task = find_task(content["task"])
     lab = make_lab(content["source"], targets or content["targets"], content["task"])
     files = {name: folder / f"{name}{POLICY_FILE}" for name in content["targets"]}
-    names = entry_names(OBSERVATION), entry_names(ACTION)
-    trained = {name: GaussianPolicy.load(file, *names) for name, file in files.items() if file.is_file()}
-    policy, _ = load_expert(content["source"], content["task"], content.get("expert"))
+    trained = {name: GaussianPolicy.load(file, task.observation_names, task.action_names) for name, file in files.items() if file.is_file()}
+    policy, _ = load_expert(content["source"], task, content.get("expert"))
     return Known(folder, lab.merged, policy, lambda name: native_plant(find_robot(name), task), trained)
 
 
@@ -331,8 +329,8 @@ def replay(file: Annotated[Path, tyro.conf.Positional], json: bool = False) -> N
     """
     from toolkit.simulation.divergence import Divergence
     from toolkit.simulation.divergence import replay as play_again
+    from toolkit.simulation.laws import merged_plant, native_plant
     from toolkit.simulation.osc import silence_warnings
-    from toolkit.simulation.plant import merged_plant, native_plant
 
     dump = Divergence.load(file)
     robots, task = [find_robot(name) for name in dump.robots], find_task(dump.task)

@@ -9,9 +9,9 @@ from toolkit.io.jsonfiles import require
 
 if TYPE_CHECKING:
     from robots.robot import Robot
-    from tasks.pick import PickTask
+    from tasks.task import Task
     from toolkit.learning.policy import GaussianPolicy
-    from toolkit.morphology.lab import Lab
+    from toolkit.morphology.lab import Lab, System
 
 Kind = Literal["steiner", "geometric-median", "independent"]
 Method = Kind | Literal["asking", "direct"]
@@ -41,16 +41,19 @@ def broken_cards() -> list[str]:
     return [f"a card in {where[module]} does not load: {why} ({module}); mend or remove it" for module, why in BROKEN.items()]
 
 
-def find_robot(name: str) -> "Robot":
+def find_robot(name: str) -> "System":
     """The card of a system, or a sentence listing those that exist."""
-    known = all_robots()
+    known: dict[str, System] = all_robots()
+    from robots import MODEL_ROBOTS
+
+    known = known | MODEL_ROBOTS
     if name not in known:
         more = "".join(f"; {broken}" for broken in broken_cards())
         raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(known)}{more}")
     return known[name]
 
 
-def find_task(name: str) -> "PickTask":
+def find_task(name: str) -> "Task":
     """A task, or a sentence listing those that exist."""
     from tasks import TASKS
 
@@ -77,7 +80,7 @@ def transfer_config(folder: Path) -> dict:
     if missing:
         raise ToolkitError(f"{folder / 'config.json'} has no {missing[0]!r}, so it is no transfer's run folder")
     require(content, {"source": str, "targets": [str], "task": str}, str(folder / "config.json"), "start the run again under another --run")
-    odd = [name for name in (content["source"], *content["targets"]) if not name.isidentifier()]
+    odd = [name for name in (content["source"], *content["targets"]) if not name.replace("-", "_").isidentifier()]
     if odd or not content["targets"]:
         raise ToolkitError(f"{folder / 'config.json'} names robots {odd or 'none'}, which are no names of robots, so it is damaged")
     return content
@@ -89,12 +92,12 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
     Raises:
         ToolkitError: there is none.
     """
-    from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert.shelf import POLICY_FILE, entry_names
+    from toolkit.expert.shelf import POLICY_FILE
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.runs.run import continuing
 
     content = transfer_config(folder)
+    what = find_task(content["task"])
     found = {}
     trouble = []
     for name in content["targets"] if target is None else [target]:
@@ -106,7 +109,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
                 raise ToolkitError(
                     f"{folder} has no policy for {name!r} yet; finish it with: {continuing(folder)}"
                 )
-            found[name] = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+            found[name] = GaussianPolicy.load(file, what.observation_names, what.action_names)
         except ToolkitError as error:
             trouble.append(str(error))
     if not found:
@@ -116,13 +119,13 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
 
 def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"], list[str]] | None:
     """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
-    from tasks.pick import ACTION, OBSERVATION
-    from toolkit.expert.shelf import POLICY_FILE, SHIPPED, entry_names, shipped_experts, shipped_pair
+    from robots import MODEL_ROBOTS
+    from toolkit.expert.shelf import POLICY_FILE, SHIPPED, shipped_experts, shipped_pair
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.runs.run import Run
 
     if run in shipped_experts():
-        source, task = shipped_pair(run)
+        source, task = shipped_pair(run, MODEL_ROBOTS)
         file = SHIPPED / f"{run}{POLICY_FILE}"
     else:
         content = Run.open(Path(run)).config
@@ -135,5 +138,6 @@ def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "Gaussi
             raise ToolkitError(f"{run} has no policy yet; finish it with its own command and --resume")
     if target not in (None, source):
         raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
-    policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+    what = find_task(task)
+    policy = GaussianPolicy.load(file, what.observation_names, what.action_names)
     return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}, []

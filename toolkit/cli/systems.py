@@ -151,7 +151,7 @@ def _survival(lab: "Lab", episodes: int) -> list[dict]:
     from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
-    policy, _ = load_expert(lab.source.name, TASK)
+    policy, _ = load_expert(lab.source.name, find_task(TASK))
     engine = RolloutEngine(lab.merged)
     played = [
         evaluate_merged(policy, engine, lab.source.name, episodes),

@@ -16,7 +16,8 @@ from toolkit.demonstrations.retargeting import HandModel, HandMotion, retarget, 
 from toolkit.demonstrations.tracks import Track, TrackScript
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
-from toolkit.simulation.plant import CLOSING, Plant, native_plant
+from toolkit.simulation.laws import native_plant
+from toolkit.simulation.plant import CLOSING, Plant
 from toolkit.simulation.rollout import Tape, play
 
 

@@ -13,15 +13,15 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binomtest
 
-from robots.robot import Robot
-from tasks.pick import PickTask
+from tasks.task import Task
 from toolkit.bundle.reading import Bundle, load_bundle
 from toolkit.errors import ToolkitError
 from toolkit.learning.policy import GaussianPolicy, MeanActor
+from toolkit.morphology.lab import System
 from toolkit.morphology.native_scene import model_sha256
 from toolkit.quiet import start_worker
 from toolkit.runs.seeds import EVALUATION_SEEDS
-from toolkit.simulation.native import NativeRobot
+from toolkit.simulation.laws import Playable, native_robot
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 
 
@@ -70,7 +70,7 @@ def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, 
     return Evaluation(target, "merged", episodes, sum(e.success for e in played), sum(e.diverged for e in played), seeds[0])
 
 
-def evaluate_compiled(policy: GaussianPolicy, robot: Robot, task: PickTask, episodes: int, seed: int = 0) -> Evaluation:
+def evaluate_compiled(policy: GaussianPolicy, robot: System, task: Task, episodes: int, seed: int = 0) -> Evaluation:
     """As ``evaluate_native``, on the same seeds, with the compiled control step in place of robosuite's: some ten times faster."""
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
     engine = NativeEngine(robot, task)
@@ -84,9 +84,9 @@ Outcome = tuple[bool, bool]
 """Whether an episode succeeded, and whether its simulation diverged."""
 
 
-def _player(robot: Robot, task: PickTask, policy: GaussianPolicy | Path) -> Callable[[int], Outcome]:
+def _player(robot: System, task: Task, policy: GaussianPolicy | Path) -> Callable[[int], Outcome]:
     """Plays the episode of a seed on the unmodified robot, which is loaded once."""
-    native = NativeRobot(robot, task)
+    native = native_robot(robot, task)
     if not isinstance(policy, Path):
         return lambda seed: (native.play(policy.mean, seed), native.diverged)
     bundle = load_bundle(policy)
@@ -98,14 +98,14 @@ _own_player: Callable[[int], Outcome] | None = None
 """A worker process's, which lives for one evaluation: of one robot, task and policy."""
 
 
-def _play_in_worker(robot: Robot, task: PickTask, policy: GaussianPolicy | Path, seed: int) -> Outcome:
+def _play_in_worker(robot: System, task: Task, policy: GaussianPolicy | Path, seed: int) -> Outcome:
     global _own_player
     if _own_player is None:
         _own_player = _player(robot, task, policy)
     return _own_player(seed)
 
 
-def _same_model(bundle: Bundle, native: NativeRobot) -> None:
+def _same_model(bundle: Bundle, native: Playable) -> None:
     """Refuse a bundle whose robot is not the one that robosuite has here."""
     wanted, found = bundle.manifest.robot.model_sha256, model_sha256(native.model)
     if wanted != found:
@@ -118,8 +118,8 @@ def _same_model(bundle: Bundle, native: NativeRobot) -> None:
 
 def evaluate_native(
     policy: GaussianPolicy | Path,
-    robot: Robot,
-    task: PickTask,
+    robot: System,
+    task: Task,
     episodes: int,
     seed: int = 0,
     processes: int | None = None,
@@ -145,7 +145,7 @@ def evaluate_native(
 
 
 def _outcomes(
-    robot: Robot, task: PickTask, policy: GaussianPolicy | Path, seeds: Sequence[int], workers: int
+    robot: System, task: Task, policy: GaussianPolicy | Path, seeds: Sequence[int], workers: int
 ) -> Iterator[Outcome]:
     if workers == 1 or len(seeds) < 4:
         yield from map(_player(robot, task, policy), seeds)

@@ -1,12 +1,13 @@
 """Experts by name: those that are shipped, and how one is kept and loaded."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tasks.pick import ACTION, OBSERVATION, PickTask
-from tasks.task import entry_names
+from tasks.pick import PickTask
+from tasks.task import Task
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
@@ -15,8 +16,10 @@ SHIPPED = Path(__file__).parent / "shipped"
 """Folder of the experts that come with the package."""
 
 
-def narrow_task(task: PickTask) -> PickTask:
-    """The task with the small start noise, +-1 cm and no yaw, for which an expert of the wide one serves as well."""
+def narrow_task(task: Task) -> Task:
+    """A pick with the small start noise, +-1 cm and no yaw, for which an expert of the wide one serves as well; any other task as it is."""
+    if not isinstance(task, PickTask):
+        return task
     return replace(task, noise_xy=min(task.noise_xy, 0.01), noise_yaw=0.0)
 
 
@@ -41,10 +44,10 @@ def shipped_experts() -> list[str]:
     return sorted(file.name.removesuffix(POLICY_FILE) for file in SHIPPED.glob(f"*{POLICY_FILE}"))
 
 
-def shipped_pair(name: str) -> tuple[str, str]:
-    """Source and task of a shipped expert's name."""
-    source, _, task = name.removesuffix(RECORDED).partition("-")
-    return source, task
+def shipped_pair(name: str, robots: Iterable[str] = ()) -> tuple[str, str]:
+    """Source and task of a shipped expert's name; ``robots`` are those whose names may hold a hyphen."""
+    source = next((robot for robot in robots if name.startswith(f"{robot}-")), name.partition("-")[0])
+    return source, name.removesuffix(RECORDED).removeprefix(f"{source}-")
 
 
 def save_expert(policy: GaussianPolicy, value: ValueFunction, folder: Path, name: str, card: dict[str, Any]) -> None:
@@ -61,7 +64,7 @@ def taught_by_hands(source: str, task: str) -> str | None:
     return next((name for name in names if name in shipped_experts()), None)
 
 
-def load_expert(source: str, task: str, name: str | None = None) -> tuple[GaussianPolicy, ValueFunction]:
+def load_expert(source: str, task: Task, name: str | None = None) -> tuple[GaussianPolicy, ValueFunction]:
     """The expert of a source robot and a task.
 
     Args:
@@ -72,7 +75,7 @@ def load_expert(source: str, task: str, name: str | None = None) -> tuple[Gaussi
         ToolkitError: there is none; the sentence gives the command that trains one.
     """
     folder = SHIPPED if name is None or name in shipped_experts() else Path()
-    policy_file, value_file = expert_files(source, task) if name is None else (
+    policy_file, value_file = expert_files(source, task.name) if name is None else (
         folder / f"{name}{POLICY_FILE}", folder / f"{name}.value.safetensors")  # fmt: skip
     if name is not None and not policy_file.is_file():
         raise ToolkitError(
@@ -80,8 +83,8 @@ def load_expert(source: str, task: str, name: str | None = None) -> tuple[Gaussi
         )
     if not policy_file.is_file():
         raise ToolkitError(
-            f"no expert is shipped for source {source!r} and task {task!r}; there are: {', '.join(shipped_experts()) or 'none'}; "
-            f"train one with: {told('expert', '--source', source, '--task', task)}"
+            f"no expert is shipped for source {source!r} and task {task.name!r}; there are: {', '.join(shipped_experts()) or 'none'}; "
+            f"train one with: {told('expert', '--source', source, '--task', task.name)}"
         )
-    policy = GaussianPolicy.load(policy_file, entry_names(OBSERVATION), entry_names(ACTION))
-    return policy, ValueFunction.load(value_file, entry_names(OBSERVATION))
+    policy = GaussianPolicy.load(policy_file, task.observation_names, task.action_names)
+    return policy, ValueFunction.load(value_file, task.observation_names)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE
+from tasks.pick import OBSERVATION
+from tasks.task import Task
 from toolkit.demonstrations.scripts import PickScript, pick_script
 from toolkit.demonstrations.tracks import TrackScript
 from toolkit.errors import ToolkitError
-from toolkit.expert.shelf import entry_names
 from toolkit.learning.cloning import CloningConfig, clone
 from toolkit.learning.npg import Demonstrations, NpgConfig, npg_step
 from toolkit.learning.policy import GaussianPolicy, MeanActor, ValueFunction, learner_tensors, load_learner
@@ -62,11 +62,11 @@ class ExpertConfig:
     """The learner; larger steps than in transfer, as nothing is lost if the clone changes."""
 
 
-def new_learner(seed: int) -> tuple[GaussianPolicy, ValueFunction]:
-    """A fresh policy and value function for the pick's records."""
+def new_learner(task: Task, seed: int) -> tuple[GaussianPolicy, ValueFunction]:
+    """A fresh policy and value function for a task's records."""
     rng = np.random.default_rng((seed, 7))
-    policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), rng)
-    return policy, ValueFunction(entry_names(OBSERVATION), rng)
+    policy = GaussianPolicy(task.observation_names, task.action_names, rng)
+    return policy, ValueFunction(task.observation_names, rng)
 
 
 class NoisyScript:
@@ -180,7 +180,7 @@ def train_expert(
     """
     rng = np.random.default_rng(config.seed)
     beta = engine.merged.space.beta(source)
-    policy, value = new_learner(config.seed)
+    policy, value = new_learner(engine.merged.task, config.seed)
     training = _Training(engine, beta, config, policy, value, rng, teachers is not None, report, run)
     training.restore()
     if not training.cloned:
@@ -258,7 +258,8 @@ class _Training:
 
     def _fit(self, lessons: _Lessons, config: CloningConfig) -> None:
         seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "of": config.epochs, "loss": loss})  # noqa: E731
-        losses = clone(self.policy, lessons.seen, lessons.labels, config, self.rng, scale_floor=OBSERVATION_SCALE, progress=seen)
+        floor = self.engine.merged.task.observation_scale
+        losses = clone(self.policy, lessons.seen, lessons.labels, config, self.rng, scale_floor=floor, progress=seen)
         self.card["cloning_loss"] = losses[-1]
 
     def update(self) -> None:

@@ -80,7 +80,8 @@ from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.native_scene import model_sha256, plain_name
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
 from toolkit.runs.provenance import git_state, recorded_versions
-from toolkit.simulation.plant import CLOSING, Plant, finger_map, native_plant
+from toolkit.simulation.laws import native_plant
+from toolkit.simulation.plant import CLOSING, Plant, finger_map
 
 ZIPPED = "bundle.zip"
 """Name of the .zip while it lies beside the files that are in it."""

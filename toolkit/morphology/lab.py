@@ -2,22 +2,39 @@
 
 from collections.abc import Sequence
 
+from robots.model_robot import ModelRobot
 from robots.robot import Robot
-from tasks.pick import PickTask
+from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.family import FamilySpace, MergedModel
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 
+System = Robot | ModelRobot
+"""An arm with a gripper, or a change of a family's model."""
+Merged = MergedRobot | MergedModel
+"""Any robot between source and targets, in its task."""
 
-def check_roles(source: Robot, targets: Sequence[Robot]) -> None:
+
+def check_roles(source: System, targets: Sequence[System]) -> None:
     """Refuse a source among the targets, a target named twice, and no targets."""
     names = [robot.name for robot in targets]
     if source.name in names:
         raise ToolkitError(f"{source.name!r} is both source and target; leave it out of the targets")
     if not names or len(set(names)) != len(names):
         raise ToolkitError(f"targets are {', '.join(names) or 'none'}; name each once, and at least one")
+
+
+def check_players(robots: Sequence[System], task: Task) -> None:
+    """Refuse a robot that cannot play a task: an arm where a family plays, another family, a hand without an arm at the table."""
+    for robot in robots:
+        if isinstance(task, ModelTask):
+            if not isinstance(robot, ModelRobot) or robot.family.name != task.family:
+                raise ToolkitError(f"robot {robot.name!r} cannot play task {task.name!r}, which is for robots of the family {task.family}")
+        elif not isinstance(robot, Robot):
+            raise ToolkitError(f"robot {robot.name!r} cannot play task {task.name!r}, which is for arms with grippers")
 
 
 class Lab:
@@ -30,15 +47,23 @@ class Lab:
         ToolkitError: the source is among the targets, a robot is named twice, or the merged robot does not compile.
     """
 
-    def __init__(self, source: Robot, targets: Sequence[Robot], task: PickTask) -> None:
+    space: EvolutionSpace | FamilySpace
+    merged: Merged
+
+    def __init__(self, source: System, targets: Sequence[System], task: Task) -> None:
         check_roles(source, targets)
+        check_players([source, *targets], task)
         self.source, self.targets, self.task = source, tuple(targets), task
-        self.space = EvolutionSpace(match([source, *targets]))
-        self.merged = MergedRobot(self.space, task)
+        if isinstance(task, ModelTask):
+            self.space = FamilySpace([source, *targets], task)
+            self.merged = MergedModel(self.space, task)
+        else:
+            self.space = EvolutionSpace(match([source, *targets]))
+            self.merged = MergedRobot(self.space, task)
 
     def terminals(self) -> tuple[Terminal, list[Terminal]]:
         """Source and targets as points of the evolution space."""
-        points = [Terminal(name, self.space.beta(name)) for name in self.space.matching.names]
+        points = [Terminal(name, self.space.beta(name)) for name in self.space.names]
         return points[0], points[1:]
 
     def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import save as safetensors_bytes
 
-from tasks.pick import OBSERVATION
 from toolkit.errors import ToolkitError
 from toolkit.io.atomic import write_atomically
 from toolkit.io.jsonfiles import require
@@ -166,8 +165,8 @@ def landmarks(scenes: Sequence[tuple[Phase, Take]]) -> list[tuple[Phase, Take]]:
     return found
 
 
-def score(episode: Episode) -> float:
-    """How good an episode was: success 1 to 2, the sooner the better; failure by how near the goal the object ended.
+def score(episode: Episode, miss: Callable[[np.ndarray], float]) -> float:
+    """How good an episode was: success 1 to 2, the sooner the better; failure by how near success it ended, see Task.miss.
 
     A diverged simulation scores -inf.
     """
@@ -175,15 +174,7 @@ def score(episode: Episode) -> float:
         return -np.inf
     if episode.success:
         return 1.0 + 1.0 / (1.0 + episode.steps)
-    return -float(np.linalg.norm(episode.last_observation[_GOAL]))
-
-
-def _slice_of(name: str) -> slice:
-    start = sum(size for key, size in list(OBSERVATION.items())[: list(OBSERVATION).index(name)])
-    return slice(start, start + OBSERVATION[name])
-
-
-_GOAL = _slice_of("goal_from_object")
+    return -miss(episode.last_observation)
 
 
 class Witness:
@@ -193,11 +184,12 @@ class Witness:
 
     Args:
         run: the run folder.
+        miss: of the task, see Task.miss.
         phases: how many phases each path has ended; for a resumed run.
     """
 
-    def __init__(self, run: Path, phases: dict[str, int] | None = None) -> None:
-        self.run = run
+    def __init__(self, run: Path, miss: Callable[[np.ndarray], float], phases: dict[str, int] | None = None) -> None:
+        self.run, self._miss = run, miss
         self.ended = dict(phases or {})
         self._going: dict[str, Phase] = {}
 
@@ -236,7 +228,7 @@ class Witness:
         return phase
 
     def _judge(self, phase: Phase, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> None:
-        value = score(episode)
+        value = score(episode, self._miss)
         same = next((take for take in phase.takes if self._is(phase, take, policy, episode, noise, update)), None)
         best, worst = phase.take("best"), phase.take("worst")
         roles = ["last"]

@@ -14,8 +14,9 @@ import numpy as np
 from tasks.npz import ArrayError, Arrays
 from toolkit.errors import ToolkitError
 from toolkit.io.jsonfiles import parsed_object, require
+from toolkit.simulation.laws import Drivable
 from toolkit.simulation.osc import STATE
-from toolkit.simulation.plant import SPEED_LIMIT, WATCHED_WARNINGS, Plant
+from toolkit.simulation.plant import SPEED_LIMIT, WATCHED_WARNINGS
 
 FORMAT = 1
 """Of the file."""
@@ -131,7 +132,7 @@ class Replay:
         return {"diverged": self.diverged, "cause": self.cause, "substeps": rows}
 
 
-def replay(plant: Plant, divergence: Divergence) -> Replay:
+def replay(plant: Drivable, divergence: Divergence) -> Replay:
     """Play the policy step of a dump again on its own robot, one step of physics at a time.
 
     Raises:
@@ -140,7 +141,7 @@ def replay(plant: Plant, divergence: Divergence) -> Replay:
     model, data, action = plant.model, plant.data, divergence.actions[-1]
     wanted = {"state": mujoco.mj_stateSize(model, STATE), "command": plant.command.size, "goal": 3}
     found = {name: getattr(divergence, name).size for name in wanted}
-    if wanted != found or action.size != 6 + plant.command.size:
+    if wanted != found or action.size != len(plant.task.action_names):
         raise ToolkitError(f"the dump's sizes {found} are not {wanted} of {', '.join(divergence.robots)}; the robots have changed "
                            "since, so play it with the version that wrote it")  # fmt: skip
     plant.begin(divergence.seed)
@@ -156,7 +157,7 @@ def replay(plant: Plant, divergence: Divergence) -> Replay:
     return Replay(plant.diverged or not np.isfinite(action).all(), _cause(divergence, rows, plant), tuple(rows))
 
 
-def _look(plant: Plant) -> Substep:
+def _look(plant: Drivable) -> Substep:
     model, data = plant.model, plant.data
     speeds = np.abs(data.qvel)
     fastest = int(np.argmax(np.where(np.isnan(speeds), np.inf, speeds)))
@@ -183,7 +184,7 @@ def _named(model: mujoco.MjModel, warning: int, index: int) -> str:
     return _joint_of(model, index) if 0 <= index < model.nv else f"index {index}"
 
 
-def _cause(divergence: Divergence, rows: list[Substep], plant: Plant) -> str:
+def _cause(divergence: Divergence, rows: list[Substep], plant: Drivable) -> str:
     action = divergence.actions[-1]
     if not np.isfinite(action).all():
         entry = int(np.flatnonzero(~np.isfinite(action))[0])

@@ -9,7 +9,7 @@ import numpy as np
 
 from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_COMMAND
 from robots.robot import Robot
-from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, observe
+from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, is_lost, observe
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.grasp import Course
@@ -251,6 +251,11 @@ class Plant:
         return _at_goal(self._object_position, self.goal, self.task.goal_tolerance)
 
     @property
+    def lost(self) -> bool:
+        """Whether the object has fallen off the table."""
+        return is_lost(self._object_position)
+
+    @property
     def torque_share(self) -> float:
         """Largest share of its limit that an arm joint's torque takes now; NaN if one is no number."""
         actuator, limit = self._drive[0][2], self._drive[6]
@@ -302,7 +307,7 @@ def mass_addresses(model: mujoco.MjModel, dofs: np.ndarray) -> np.ndarray:
     return out
 
 
-def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant:
+def merged_arm_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant:
     """F(alpha) as a plant; patches ``model`` in place (see MergedRobot.become)."""
     course = merged.become(alpha, model, data)
     theta = merged.space.theta(alpha)
@@ -358,7 +363,7 @@ def finger_map(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> list
     ]
 
 
-def native_plant(robot: Robot, task: PickTask) -> Plant:
+def native_arm_plant(robot: Robot, task: PickTask) -> Plant:
     """The unmodified robosuite robot as a plant for the fast engine."""
     env = native_env(robot, task)
     env.begin(0)

@@ -12,13 +12,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robots.model_robot import ModelRobot
 from robots.robot import Robot
-from tasks.pick import PickTask, is_lost
+from tasks.task import Judge, Task
 from toolkit.learning.episode import Episode
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.family import MergedModel
 from toolkit.simulation.divergence import Divergence
+from toolkit.simulation.laws import Drivable, merged_plant, native_plant
 from toolkit.simulation.osc import silence_warnings
-from toolkit.simulation.plant import Plant, all_finite, merged_plant, native_plant
+from toolkit.simulation.plant import all_finite
 
 Actor = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 """(observation (n_obs,), rng) -> action (n_act,)."""
@@ -37,12 +40,11 @@ class Tape:
     broken: tuple[np.ndarray, np.ndarray] | None = None
 
 
-def play(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape | None = None) -> Episode:
+def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape | None = None) -> Episode:
     """One episode.
 
-    The seed fixes the start (object pose, goal) and the actor's noise. It ends with success (the object held at the goal
-    for the task's hold_steps; reward 1 on that step, 0 on every other), with the object off the table, with a diverged
-    simulation (a failure, never rewarded), or at the horizon.
+    The seed fixes the start and the actor's noise. It ends with success (the goal met for the task's hold_steps; reward 1 on that step, 0
+    on every other), where success has become impossible, with a diverged simulation (a failure, never rewarded), or at the horizon.
 
     Args:
         plant: the robot.
@@ -75,12 +77,11 @@ class Stretch:
 
 
 def play_on(
-    plant: Plant, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, tape: Tape
+    plant: Drivable, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, tape: Tape
 ) -> Stretch:
     """Play from where the plant stands: at most ``steps`` policy steps, ending as an episode does; see ``play``."""
-    task, data = plant.task, plant.data
+    judge, data = Judge(plant.task), plant.data
     out = Stretch()
-    held = 0
     while len(out.rewards) < steps and not out.terminated:
         action = np.asarray(actor(observation, rng), float)
         out.observations.append(observation)
@@ -90,9 +91,8 @@ def play_on(
             tape.qpos.append(np.array(data.qpos))
         observation = plant.step(action)
         out.diverged = plant.diverged or not all_finite(action, observation)
-        held = held + 1 if not out.diverged and plant.at_goal else 0
-        out.success = held >= task.hold_steps
-        out.terminated = out.success or out.diverged or is_lost(plant.object_position)
+        out.success = not out.diverged and judge.tell(plant.at_goal)
+        out.terminated = out.success or out.diverged or plant.lost
         out.rewards.append(float(out.success))
     out.observation = observation
     if tape.qpos is not None:
@@ -122,7 +122,7 @@ class _Engine:
         self.episodes_played, self.play_seconds = 0, 0.0
         self.trouble = ""
 
-    def _plant(self, borrowed: Any, alpha: np.ndarray) -> Plant:
+    def _plant(self, borrowed: Any, alpha: np.ndarray) -> Drivable:
         raise NotImplementedError
 
     def _scene(self) -> dict[str, Any]:
@@ -138,7 +138,7 @@ class _Engine:
         finally:
             self._idle.put(borrowed)
 
-    def _divergence(self, episode: Episode, plant: Plant, tape: Tape) -> Divergence | None:
+    def _divergence(self, episode: Episode, plant: Drivable, tape: Tape) -> Divergence | None:
         if tape.broken is None:
             return None
         state, command = tape.broken
@@ -181,21 +181,21 @@ class RolloutEngine(_Engine):
         dump: file for the first simulation that blows up; one that exists is left alone.
     """
 
-    def __init__(self, merged: MergedRobot, threads: int | None = None, dump: Path | None = None) -> None:
+    def __init__(self, merged: MergedRobot | MergedModel, threads: int | None = None, dump: Path | None = None) -> None:
         super().__init__(threads, dump)
         self.merged = merged
         for _ in range(self.threads):
             self._idle.put(merged.new())
 
-    def _plant(self, borrowed: tuple[mujoco.MjModel, mujoco.MjData], alpha: np.ndarray) -> Plant:
+    def _plant(self, borrowed: tuple[mujoco.MjModel, mujoco.MjData], alpha: np.ndarray) -> Drivable:
         return merged_plant(self.merged, alpha, *borrowed)
 
     def _scene(self) -> dict[str, Any]:
-        return {"robots": self.merged.space.matching.names, "native": False, "task": self.merged.task.name}
+        return {"robots": self.merged.space.names, "native": False, "task": self.merged.task.name}
 
 
 class NativeEngine(_Engine):
-    """Plays episodes on an unmodified robosuite robot with the compiled control step (not robosuite's own step).
+    """Plays episodes on an unmodified robot with the compiled control step (not its environment's own step).
 
     Its robot is the only one it has: the alphas of ``play`` are recorded, nothing more.
 
@@ -205,13 +205,13 @@ class NativeEngine(_Engine):
         dump: as for RolloutEngine.
     """
 
-    def __init__(self, robot: Robot, task: PickTask, threads: int | None = None, dump: Path | None = None) -> None:
+    def __init__(self, robot: Robot | ModelRobot, task: Task, threads: int | None = None, dump: Path | None = None) -> None:
         super().__init__(threads, dump)
         self.robot, self.task = robot, task
         for _ in range(self.threads):
             self._idle.put(native_plant(robot, task))
 
-    def _plant(self, borrowed: Plant, alpha: np.ndarray) -> Plant:
+    def _plant(self, borrowed: Drivable, alpha: np.ndarray) -> Drivable:
         return borrowed
 
     def _scene(self) -> dict[str, Any]:

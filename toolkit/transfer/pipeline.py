@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from robots.robot import Robot
-from tasks.pick import PickTask
+from tasks.task import Task
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
@@ -24,10 +23,10 @@ from toolkit.learning.exploration import Explored
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.lab import Lab, check_roles
+from toolkit.morphology.lab import Lab, Merged, System, check_players, check_roles
 from toolkit.runs.phases import Witness
 from toolkit.runs.run import Run, read_audit
-from toolkit.simulation.plant import Plant, native_plant
+from toolkit.simulation.laws import Drivable, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer.branch import Branch
 from toolkit.transfer.meta_evolve import Transfer
@@ -66,15 +65,16 @@ class Job:
         expert: name of the source's policy, as for `load_expert`; None: the one shipped for source and task.
     """
 
-    source: Robot
-    targets: tuple[Robot, ...]
-    task: PickTask
+    source: System
+    targets: tuple[System, ...]
+    task: Task
     transfer: TransferConfig = field(default_factory=TransferConfig)
     evaluation_episodes: int = 200
     expert: str | None = None
 
     def __post_init__(self) -> None:
         check_roles(self.source, self.targets)
+        check_players((self.source, *self.targets), self.task)
 
     def config(self) -> dict[str, Any]:
         """As written to config.json, and compared on --resume."""
@@ -112,7 +112,7 @@ class Recorder(Protocol):
     def finish(self) -> Any: ...
 
 
-Begin = Callable[[Path, MergedRobot, dict[str, Any], GaussianPolicy, Callable[[str], Plant], list[dict[str, Any]]], Recorder]
+Begin = Callable[[Path, Merged, dict[str, Any], GaussianPolicy, Callable[[str], Drivable], list[dict[str, Any]]], Recorder]
 """Begins to record a run: its folder, the merged robot, the tree as of tree.json, the expert, an unmodified target by its name, and the
 records that there are of a run that is taken up again."""
 
@@ -181,7 +181,7 @@ class Pipeline:
         self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None,
         record: Begin | None = None,
     ) -> None:  # fmt: skip
-        policy, value = load_expert(job.source.name, job.task.name, job.expert)
+        policy, value = load_expert(job.source.name, job.task, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch, self._begin = job, watch, record
         try:
@@ -216,7 +216,7 @@ class Pipeline:
         self.stalls = read_object(stalls, "start the transfer again under another --run") if stalls.is_file() else {}
         records = self.run.read_metrics()
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
-        self.witness = Witness(folder, moved)
+        self.witness = Witness(folder, job.task.miss, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
         begin = lambda: self._begin(folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, records)  # noqa: E731
         self.story = _Told(folder, begin if self._begin else lambda: None)
@@ -246,6 +246,10 @@ class Pipeline:
     def _audit(self) -> None:
         """What the robots along the tree can do, in short, before any policy is taken through them."""
         if (self.run.path / "audit.json").is_file():
+            return
+        if not isinstance(self.lab.merged, MergedRobot):
+            words = f"what robots can do in {self.job.task.name} without a policy is not measured"
+            self.run.write_json("audit", {"verdict": words, "edges": []})
             return
         bend = self.job.transfer.path == "bent"
         edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=2 * bend, scripted=1, causes=False,
@@ -289,7 +293,7 @@ class Pipeline:
         self._stood[branch.path] = branch.alpha
         self.story.tell(record)
 
-    def _plant(self, name: str) -> Plant:
+    def _plant(self, name: str) -> Drivable:
         """An unmodified target robot for the recording's films."""
         return native_plant(next(robot for robot in self.job.targets if robot.name == name), self.job.task)
 

@@ -28,7 +28,8 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.runs.phases import Phase, Take
 from toolkit.runs.run import Run, continuing, read_tree, transfer_records
 from toolkit.runs.seeds import CHECKING_SEEDS
-from toolkit.simulation.plant import Plant, merged_plant
+from toolkit.simulation.laws import merged_plant
+from toolkit.simulation.plant import Plant
 
 POLL = 1.0
 """[s] between two looks at a running transfer's folder."""

@@ -27,7 +27,8 @@ from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.phases import FOLDER, Phase, Take, landmarks, load_phase
-from toolkit.simulation.plant import Plant, merged_plant
+from toolkit.simulation.laws import merged_plant
+from toolkit.simulation.plant import Plant
 
 MORPH_RATE = 20.0
 """Frames per second of the film while a robot turns into another."""

@@ -22,7 +22,8 @@ from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.phases import Phase, Take, landmarks, load_phases
 from toolkit.runs.run import read_report
-from toolkit.simulation.plant import Plant, merged_plant
+from toolkit.simulation.laws import merged_plant
+from toolkit.simulation.plant import Plant
 
 SIZE = 720, 540
 """Width and height [pixels]."""
