@@ -61,6 +61,7 @@ class Franka:
             self._arm, self._hand = franky.Robot(self.host), franky.Gripper(self.host)
         except (RuntimeError, franky.Exception) as error:
             raise ToolkitError(f"no Franka answers at {self.host} ({error}); is FCI on, and does franky fit its version?") from None
+        self._clock = DeviceClock()
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def connect(self) -> ArmInfo:

@@ -81,6 +81,7 @@ class Ros2:
 
     def connect(self) -> ArmInfo:
         """See Driver."""
+        self._clock = DeviceClock()
         return ArmInfo(self.robot, self.names, (), ("joint",), RATE)
 
     def listen(self) -> ArmInfo:

@@ -83,6 +83,7 @@ class UniversalRobots:
             self._receive = receive.RTDEReceiveInterface(self.host)
         except RuntimeError as error:
             raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on?") from None
+        self._clock = DeviceClock()
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def connect(self) -> ArmInfo:
@@ -97,6 +98,7 @@ class UniversalRobots:
             self._control = control.RTDEControlInterface(self.host, RATE)
         except RuntimeError as error:
             raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on, and in remote mode?") from None
+        self._clock = DeviceClock()
         self._control.setWatchdog(10.0)  # [Hz] at least
         self._ended.clear()
         self._trouble, self._command = "", None
