@@ -142,7 +142,7 @@ def test_a_quaternion_and_its_opposite_are_one():
 def test_the_command_prints_what_came_of_each(capsys):
     main(["bench", "faults", "kinova3", "--form", "osc", "--only", "stamp", "--json"])
     found = json.loads(capsys.readouterr().out)
-    assert found["unmet"] == 0 and len(found["trials"]) == 5 and {row["layer"] for row in found["trials"]} == {"state", "stamp"}
+    assert found["unmet"] == 0 and len(found["trials"]) == 6 and {row["layer"] for row in found["trials"]} == {"state", "stamp"}
     with pytest.raises(SystemExit) as stop:
         main(["bench", "faults", "--only", "no such fault"])
     assert stop.value.code == 2 and "no fault is named 'no such fault'" in capsys.readouterr().err

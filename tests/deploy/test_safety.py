@@ -339,6 +339,23 @@ def test_a_fault_holds_in_its_own_tick_and_is_named(bundle, form, change, kind, 
     assert re.search(culprit, tick.fault.detail), tick.fault.detail
 
 
+def test_slow_joints_and_toppling_objects_are_no_faults():
+    """The Jaco's third joint has a limit of 0.2 rad/s, which poses on a stiff arm pass; an object may topple as fast as one falls."""
+    jaco = load_bundle("jaco")
+    good = start_state(jaco)
+
+    def seen(**changes):
+        runtime = started(jaco)
+        assert runtime.tick(changed(good, stamp=0.0), 0.0).fault is None
+        fault = runtime.tick(changed(good, stamp=0.05, **changes), 0.05).fault
+        return fault.kind if fault else ""
+
+    assert jaco.manifest.joints[2].speed < 0.21
+    assert seen(speeds=np.array([0, 0, 0.35, 0, 0, 0, 0])) == "" and seen(speeds=np.array([0, 0, 0.45, 0, 0, 0, 0])) == "joint_speed"
+    tipped = lambda angle: np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0])  # noqa: E731
+    assert seen(object_quaternion=tipped(0.8)) == "" and seen(object_quaternion=tipped(1.2)) in ("implausible", "observation_jump")
+
+
 def test_a_policy_that_is_not_finite_never_reaches_the_arm(bundle):
     runtime = started(bundle, policy=lambda observation: np.array([0, 0, np.nan, 0, 0, 0, 1]))
     tick = runtime.tick(start_state(bundle, 0.05), 0.05)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from toolkit.cli.deployment import DriverName
 from toolkit.cli.help import helped
 from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, room_for, table
@@ -13,6 +14,8 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
+    from toolkit.deploy.arm import ArmInfo
+    from toolkit.deploy.faults import Begun, Harm
     from toolkit.transfer.pipeline import Job
 
 bench = tyro.extras.SubcommandApp()
@@ -488,31 +491,39 @@ def bench_fuzz(
 def bench_faults(
     bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
     form: Literal["osc", "pose", "joint", "all"] = "all",
+    driver: DriverName = "sim",
     only: str = "",
     json: bool = False,
 ) -> None:
-    """Inject faults between twin and runtime: lying states, old stamps, orders not obeyed, dead processes, bad clients, a full disk.
+    """Inject faults between arm and runtime: lying states, old stamps, orders not obeyed, dead processes, bad clients, a full disk.
 
-    Every fault is played in an episode of its own, through the socket. The exit status is 1 if one is not met as it must be.
+    Every fault is played in an episode of its own: through the twin's socket, or through a vendor's driver, whose package is a mock
+    around a kinematic arm. The exit status is 1 if one is not met as it must be.
 
     Args:
         bundle: folder, .zip, or the name of a shipped bundle.
-        form: of the commands.
-        only: faults whose name or layer (state, stamp, start, order, process, line, disk) holds this text.
+        form: of the commands; all: those that the driver takes.
+        driver: sim (the twin), or ur, franka, kortex or ros2 on a mock of the vendor's package, with the bundle's own arm behind it.
+        only: faults whose name or layer (state, stamp, start, order, vendor, process, line, disk) holds this text.
         json: print one JSON object.
     """
     from toolkit.bundle.reading import load_bundle
     from toolkit.cli.deployment import start_twin
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.drivers.sim import SimDriver
-    from toolkit.deploy.faults import HARMS, Trial, line_trials, trials
+    from toolkit.deploy.faults import Trial, harms_for, line_trials, trials
+    from toolkit.deploy.mocks import VENDORS, mocked
 
     loaded, found = load_bundle(bundle), []
-    harms = tuple(harm for harm in HARMS if only in harm.name or only == harm.layer)
-    forms = FORMS if form == "all" else (form,)
-    others = not only or only in ("process", "line", "disk")
+    takes = FORMS if driver == "sim" else VENDORS[driver].forms
+    if form not in ("all", *takes):
+        raise ToolkitError(f"the driver {driver} takes no {form!r} commands; it takes: {', '.join(takes)}")
+    harms = tuple(harm for harm in harms_for(None if driver == "sim" else VENDORS[driver]) if only in harm.name or only == harm.layer)
+    forms = takes if form == "all" else (form,)
+    others = driver == "sim" and (not only or only in ("process", "line", "disk"))
     if not harms and not others:
-        raise ToolkitError(f"no fault is named {only!r}; give a part of its name, or state, stamp, start, order, process, line or disk")
+        raise ToolkitError(f"no fault of driver {driver} is named {only!r}; give a part of its name, or state, stamp, start, order, "
+                           "vendor, process, line or disk")  # fmt: skip
     with Progress("faults", quiet=json) as progress:
 
         def met(trial: Trial) -> None:
@@ -520,25 +531,34 @@ def bench_faults(
             unmet = sum(not trial.met for trial in found)
             progress.show(f"{loaded.manifest.robot.name} {trial.form}", f"{unmet} unmet, last: {trial.fault}", len(found))
 
-        twin, port = start_twin(bundle, "lockstep")
-        arm = SimDriver("127.0.0.1", port)
-        try:
-            info = arm.connect()
+        def play(arm: "Begun", info: "ArmInfo", chosen: "tuple[Harm, ...]") -> None:
             for each in forms:
-                for trial in trials(loaded, arm, info, each, harms):
+                for trial in trials(loaded, arm, info, each, chosen):
                     met(trial)
-        finally:
-            arm.close()
-            twin.terminate()
-            twin.wait()
+
+        if driver != "sim":
+            with mocked(loaded, driver) as arm:
+                play(arm, arm.connect(), harms)
+        for pace in ("lockstep", "real") if driver == "sim" else ():  # a clock would find a twin that waits for commands late
+            chosen = tuple(harm for harm in harms if harm.real == (pace == "real"))
+            if not chosen:
+                continue
+            twin, port = start_twin(bundle, pace)
+            arm = SimDriver("127.0.0.1", port)
+            try:
+                play(arm, arm.connect(), chosen)
+            finally:
+                arm.close()
+                twin.terminate()
+                twin.wait()
         for trial in line_trials(loaded, lambda pace: start_twin(bundle, pace)) if others else ():
             met(trial)
     unmet = [trial for trial in found if not trial.met]
     if json:
-        emit({"bundle": bundle, "trials": [asdict(trial) for trial in found], "unmet": len(unmet)}, json, "")
+        emit({"bundle": bundle, "driver": driver, "trials": [asdict(trial) for trial in found], "unmet": len(unmet)}, json, "")
     else:
-        table(f"{loaded.manifest.robot.name}: a bad day", ["fault", "form", "must", "noticed as", "ticks", "mm to hold", "mm to rest",
-                                                           "came of it", ""],
+        table(f"{loaded.manifest.robot.name} by the driver {driver}: a bad day",
+              ["fault", "form", "must", "noticed as", "ticks", "mm to hold", "mm to rest", "came of it", ""],
               [[t.fault, t.form, t.must, t.seen[:60], "" if t.ticks is None else t.ticks, f"{t.to_hold_mm:.1f}", f"{t.to_rest_mm:.1f}",
                 t.outcome[:80], "met" if t.met else "UNMET"] for t in found])  # fmt: skip
         print(f"{len(found) - len(unmet)} of {len(found)} faults met as they must be.")

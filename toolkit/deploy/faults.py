@@ -1,7 +1,8 @@
 """A bad day, on purpose: faults injected between an arm and the runtime, and what the runtime made of each.
 
 An ``Injector`` stands between the runtime and any driver, knows what the arm truly does, and lies from one tick on: about the state,
-about its stamp, about the order given, or by sleeping. ``trials`` plays every fault in one form of command and says how soon the arm
+about its stamp, about the order given, or by sleeping. On a vendor's driver it lies through the mock of the vendor's package, so that the
+lie passes through the driver. ``trials`` plays every fault in one form of command and says how soon the arm
 was held, how far it truly went until it was held and until it stood, and whether that is what must be.
 """
 
@@ -25,6 +26,7 @@ from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
 from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.kinematics import Kinematics
+from toolkit.deploy.mocks import MockedDriver, Trouble, Vendor
 from toolkit.deploy.runtime import Outcome, Pace, Runtime, TickLog, play
 from toolkit.errors import ToolkitError
 from toolkit.runs.seeds import EVALUATION_SEEDS
@@ -35,6 +37,8 @@ then succeeds.  refuse: never moved."""
 TICKS, WAY, SHOWING = 3, 0.01, 2
 """Ticks and way [m] within which the arm must be held, and ticks at the speed of the fault's beginning that are added to that way: what
 is not there shows only a tick later, and an order is obeyed in the tick after it."""
+TRIES = 3
+"""Of a fault that needs a clock, where this machine itself comes too late."""
 
 
 class Begun(Driver, Protocol):
@@ -49,7 +53,7 @@ class Harm:
     """One fault.
 
     Attributes:
-        name: what is wrong, in a few words.  layer: state, stamp, start, order, process or disk.
+        name: what is wrong, in a few words.  layer: state, stamp, start, order, vendor, process or disk.
         must: what must come of it.
         when: from when on: at the "start", while the arm is "moving" fastest on its way to the object, or "lifting" it.
         state: (true states so far, noise) -> what is reported; the newest comes last.
@@ -61,6 +65,7 @@ class Harm:
         prompt: whether it must be seen within TICKS and WAY; a camera without noise that dies is as good as one that lives until the
             object must have moved.
         before: likewise state, of the ticks before the fault.
+        trouble: of a vendor's mock arm.
     """
 
     name: str
@@ -75,6 +80,7 @@ class Harm:
     allowed: int = 0
     prompt: bool = True
     before: Callable[[list[State], np.random.Generator], State] | None = None
+    trouble: Trouble = ""
 
 
 @dataclass(frozen=True)
@@ -84,7 +90,7 @@ class Trial:
     Attributes:
         fault, layer, form, must: as injected.
         seen: the runtime's word for it; empty if it noticed nothing.
-        ticks: from the first tick with the fault to the first that is held; None if none is.
+        ticks: from the first tick with the fault to the first that is held, or in which the arm is stopped; None if none is.
         to_hold_mm, to_rest_mm: how far the grasp frame truly went meanwhile, and until the arm was stopped or went on.
         outcome: "stopped: ...", "success" or "horizon".
         met: whether that is what must be.
@@ -147,6 +153,13 @@ def _shifted(which: int, by: float) -> Callable[[State], np.ndarray]:
     return lambda state: state.joints + by * (np.arange(len(state.joints)) == which)
 
 
+def _gripper(fingers: Callable[[np.ndarray], np.ndarray], opening: float) -> Callable[[list[State], np.random.Generator], State]:
+    """Of an arm that reports fingers, other ones; of one that reports an opening, this."""
+    return _change(fingers=lambda s: None if s.fingers is None else fingers(s.fingers),
+                   opening=lambda s: None if s.opening is None else opening)  # fmt: skip
+
+
+COMPLAINT = "arm reports a protective stop"
 _W_LAST = _change(object_quaternion=lambda s: np.roll(s.object_quaternion, -1))
 _STATE = (
     Harm("nothing", "none", "play", "start"),
@@ -155,6 +168,7 @@ _STATE = (
     Harm("whole state frozen while lifting", "state", "stop", "lifting", state=_frozen),
     Harm("frozen but for encoder noise", "state", "stop", state=_frozen_noisy),
     Harm("joints frozen, camera alive", "state", "stop", state=lambda s, r: _first(s, "joints", "speeds")),
+    Harm("nothing new comes, nor a stamp", "state", "stop", state=lambda s, r: s[0], real=True, allowed=1),
     Harm("state twice, then alive", "state", "pass", state=_frozen, lasting=2),
     Harm("camera without noise frozen from the start", "state", "stop", "start", state=_blind, prompt=False),
     Harm("camera without noise frozen while lifting", "state", "stop", "lifting", state=_blind, prompt=False),
@@ -171,9 +185,9 @@ _STATE = (
     Harm("object's quaternion zero", "state", "stop", state=_change(object_quaternion=lambda s: np.zeros(4))),
     Harm("object's quaternion doubled", "state", "stop", state=_change(object_quaternion=lambda s: 2 * s.object_quaternion)),
     Harm("object's quaternion w last", "state", "stop", state=_W_LAST),
-    Harm("fingers not numbers", "state", "stop", state=_change(fingers=lambda s: np.full(len(s.fingers), np.nan))),
+    Harm("gripper not numbers", "state", "stop", state=_gripper(lambda fingers: fingers * np.nan, np.nan)),
     Harm("opening in per cent", "state", "stop", state=_change(fingers=lambda s: None, opening=lambda s: 80.0)),
-    Harm("arm reports a protective stop", "state", "stop", state=_change(fault=lambda s: "protective stop")),
+    Harm(COMPLAINT, "state", "stop", state=_change(fault=lambda s: "protective stop")),
     Harm("object below the table", "state", "stop", state=_change(object_position=lambda s: np.array([*s.object_position[:2], 0.5]))),
     Harm("pose noise of 2 mm", "state", "play", "start", state=_seen(0.002)),
     Harm("pose noise of 5 mm", "state", "play", "start", state=_seen(0.005)),
@@ -193,7 +207,7 @@ _START = (
     Harm("object in millimetres", "start", "refuse", "start", state=_change(object_position=lambda s: 1e3 * s.object_position)),
     Harm("object's quaternion w last", "start", "refuse", "start", state=_W_LAST),
     Harm("goal 50 cm away", "start", "refuse", "start", state=_change(goal=lambda s: s.goal + [0, 0.5, 0])),
-    Harm("fingers half closed", "start", "refuse", "start", state=_change(fingers=lambda s: s.fingers + 0.4)),
+    Harm("gripper half closed", "start", "refuse", "start", state=_gripper(lambda fingers: fingers + 0.4, 0.5)),
     Harm("opening in metres", "start", "refuse", "start", state=_change(fingers=lambda s: None, opening=lambda s: 0.08)),
     Harm("arm already moving", "start", "refuse", "start", state=_change(speeds=lambda s: np.full(len(s.joints), 0.2))),
     Harm("a joint 0.1 rad off", "start", "refuse", "start", state=_change(joints=_shifted(3, 0.1))),
@@ -219,13 +233,25 @@ _PROCESS = (
     Harm("policy asleep for 1.5 s", "process", "stop", sleep=1.5, lasting=1, real=True),
 )
 HARMS = (*_STATE, *_STAMP, *_START, *_ORDER, *_PROCESS)
+VENDOR_HARMS = (
+    Harm("the arm refuses orders", "vendor", "stop", trouble="refuses"),
+    Harm("the connection is gone", "vendor", "stop", trouble="gone", allowed=1),
+)
+
+
+def harms_for(vendor: Vendor | None) -> tuple[Harm, ...]:
+    """The faults that an arm behind a vendor's interface can have, or the twin (None): who gives no time cannot give a wrong one."""
+    if vendor is None:
+        return HARMS
+    return tuple(harm for harm in (*HARMS, *VENDOR_HARMS) if (vendor.clock or harm.layer != "stamp")
+                 and (vendor.complains or harm.name != COMPLAINT))  # fmt: skip
 
 
 class Injector:
     """A driver that lies, around one that does not.
 
     Args:
-        driver: connected; its own states are taken for the truth.
+        driver: connected; its own states are taken for the truth, or those of its mock arm, if it has one.
         harm: what is wrong; None: nothing.
         onset: tick from which on.
         place: state -> (3,) [m] where the grasp frame truly is.
@@ -255,8 +281,17 @@ class Injector:
 
     def read(self) -> State:
         """See Driver."""
-        truth = self.driver.read()
+        mock = self.driver if isinstance(self.driver, MockedDriver) else None
+        truth = mock.arm.state() if mock else self.driver.read()
         self.truths.append(self._place(truth))
+        told = self._told(truth)
+        if mock is None:
+            return told
+        mock.arm.trouble = self.harm.trouble if self._wrong else ""
+        return mock.report(told)
+
+    def _told(self, truth: State) -> State:
+        """What is reported in place of the truth."""
         if not self._wrong:
             early = len(self.held) < self.onset and self.harm is not None and self.harm.before is not None
             told = self.harm.before([truth], self._rng) if early else truth
@@ -316,17 +351,21 @@ def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, 
         kinematics.place(runtime.observer.in_order(state.joints), runtime.observer.fingers(state))
         return kinematics.position
 
-    driver.begin(seed)
-    injector = Injector(driver, harm, onset, place)
-    outcome = play(runtime, injector, TickLog(None, {}), "real" if harm.real else "lockstep")
-    return _judged(injector, outcome, form)
+    for _ in range(TRIES):
+        driver.begin(seed)
+        injector = Injector(driver, harm, onset, place)
+        outcome = play(runtime, injector, TickLog(None, {}), "real" if harm.real or isinstance(driver, MockedDriver) else "lockstep")
+        found = _judged(injector, outcome, form)
+        if found.met or not outcome.stopped.startswith("late_ticks"):  # a busy machine's lateness is not the fault's
+            break
+    return found
 
 
 def _judged(injector: Injector, outcome: Outcome, form: Form) -> Trial:
     harm, onset, held, way = injector.harm, injector.onset, injector.held, np.array(injector.truths)
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     seen = ", ".join(outcome.faults)
-    first = next((i for i in range(onset, len(held)) if held[i]), None)
+    first = next((i for i in range(onset, len(held)) if held[i]), len(held) - 1 if held and outcome.stopped else None)
     # way[0] is the start check's, so that way[i + 1] is where tick i found the arm.
     to_hold = float(step[onset : first + 1].sum()) if first is not None else float(step[onset:].sum())
     last = next((i for i in range(first, len(held)) if not held[i]), len(held)) if first is not None else len(held)
@@ -343,7 +382,7 @@ def _judged(injector: Injector, outcome: Outcome, form: Form) -> Trial:
                  f"stopped: {outcome.stopped}" if outcome.stopped else "success" if outcome.success else "horizon", bool(met))  # fmt: skip
 
 
-def trials(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harms: tuple[Harm, ...] = HARMS) -> Iterator[Trial]:
+def trials(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harms: tuple[Harm, ...]) -> Iterator[Trial]:
     """Every fault in one form of command, one after another, from the evaluation's first start."""
     when = onsets(bundle)
     for harm in harms:

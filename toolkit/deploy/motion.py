@@ -15,6 +15,8 @@ from toolkit.deploy.kinematics import JointSolver, Kinematics, matrix_of, quater
 
 CATCH_UP = 0.5
 """Share of the distance between wanted and commanded place that one tick makes up; 1 would ring."""
+FLOOR = 0.001
+"""[m] above the table's clearance at which a commanded motion ends: fingers come down as they close, after a motion was planned."""
 
 
 def _within(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -301,7 +303,7 @@ class PoseMotion(_Base):
         self._free = _within(free, self.box.low, self.box.high)
         fall = max(0.0, -self.box.rate[2])
         braking = 0.5 * fall * (self.period + fall / self.box.acceleration[2])  # what a fall covers until it has ended
-        floor = min(measured[2] + self._clearance - self.kinematics.lowest() + braking, self.box.place[2])
+        floor = min(measured[2] + self._clearance + FLOOR - self.kinematics.lowest() + braking, self.box.place[2])
         if self._free[2] < floor:  # no closer to the table than is allowed: an end to the motion, where the guard knows but a fault
             self._free[2], motion[2] = floor, max(0.0, motion[2])
         self.box.advance((motion + CATCH_UP * (self._free - motion - self.box.place)) / self.period)

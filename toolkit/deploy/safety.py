@@ -12,7 +12,7 @@ import numpy as np
 from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import Command, State
 from toolkit.deploy.kinematics import vector_of
-from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
+from toolkit.deploy.liveness import TURNED, ArmLiveness, ObjectLiveness
 from toolkit.deploy.motion import Motion
 from toolkit.deploy.observer import Observer
 
@@ -23,6 +23,9 @@ OVERDUE, ASLEEP = 0.15, 1.0
 """[s] by which a single tick, or its command, may come late before the arm is held, and before it is stopped: the world has moved on."""
 SPEED_MARGIN = 1.5
 """Measured joint speed, in units of the limit, from which the arm is held: measured speeds overshoot commanded ones."""
+SLOW = 0.4
+"""[rad/s] of a measured joint speed that never holds the arm, wherever its limit lies: what is 0.6 m from such a joint moves at less than
+ISO 10218-1's reduced speed, 250 mm/s. As poses a redundant arm divides a motion among its joints otherwise than when limits were taken."""
 LIMIT_MARGIN = 0.02
 """[rad] by which a measured angle may pass its limit."""
 FARTHEST = 1000 * 2 * np.pi
@@ -43,9 +46,9 @@ LIFTED = 0.02
 """Rise [m] of the object from where it rests that counts as lifted."""
 SURE, GONE = 3, 2
 """Ticks in a row in which the object must be seen lifted, and away from the gripper that lifted it: cameras err by a centimetre."""
-CAMERA = {"object_from_grasp": 0.08, "goal_from_object": 0.08}
+CAMERA = {"object_from_grasp": 0.08, "goal_from_object": 0.08, "object_rotation": float(np.sin(TURNED))}
 """[m] that the object may seem to move in a tick, whatever the manifest calls a jump: five standard deviations of what noise of 10 mm,
-which the policies bear, does to a difference."""
+which the policies bear, does to a difference; and the sine of the angle by which it may turn: one that topples is no camera that lies."""
 SINKING = 1e-4
 """[m] that a commanded pose may sink in a tick and yet count as staying."""
 OVERSHOOT = 0.02
@@ -111,7 +114,7 @@ class Guard:
         """Forget the last episode."""
         self._last: np.ndarray | None = None
         self._missed, self._late, self._up, self._away, self._lifted = 1, 0, 0, 0, False
-        self._led = np.inf
+        self._led, self._sank = np.inf, 0.0
         self._arm_alive.begin()
         self._object_alive.begin()
 
@@ -213,7 +216,7 @@ class Guard:
         out = (arm < self._low - LIMIT_MARGIN) | (arm > self._high + LIMIT_MARGIN)
         if out.any():
             return Fault("joint_limit", f"joint {self.manifest.joints[int(out.argmax())].name} stands at {arm[out.argmax()]:.3f} rad")
-        for kind, values, limit in (("joint_speed", state.speeds, SPEED_MARGIN * self._speed),
+        for kind, values, limit in (("joint_speed", state.speeds, np.maximum(SPEED_MARGIN * self._speed, SLOW)),
                                     ("effort", state.efforts, (1 + 1e-6) * self._effort)):  # fmt: skip
             if values is None:
                 continue
@@ -294,8 +297,11 @@ class Guard:
             return Fault("workspace", f"the command leads to {COORDINATES[worst]} = {place[worst]:.3f}, outside the workspace box")
         fall = float(place[2] - kinematics.position[2])
         lowest = kinematics.lowest() + fall
-        # A pose that leads no lower than the last one is not what brings closing fingers closer to the table.
-        lower, self._led = motion.form == "osc" or place[2] < self._led - SINKING, float(place[2])
+        # A pose that leads no lower than the last one is not what brings closing fingers closer to the table; and one whose fall is
+        # ending does what a hold would do, but for the jerk, as long as half of the clearance is left.
+        sinks, self._led = self._led - float(place[2]), float(place[2])
+        ends, self._sank = sinks < self._sank - SINKING and lowest > 0.5 * (self.manifest.cartesian.table_top_m + self._clearance), sinks
+        lower = motion.form == "osc" or (sinks > SINKING and not ends)
         if fall < 0.0 and lower and lowest < self._clearance:
             return Fault("table_clearance", f"the gripper would come to {lowest - self.manifest.cartesian.table_top_m:.4f} m above "
                                             f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")  # fmt: skip

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.deploy.arm import ArmInfo, Command, State
-from toolkit.deploy.drivers.stamps import DeviceClock
+from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
 
@@ -88,7 +88,7 @@ class Franka:
         if not -WIDTH_NOISE <= width <= self.width + WIDTH_NOISE:
             raise ToolkitError(f"the hand reports a width of {width:.3g} m, not from 0 to {self.width:.3f}; is it homed, and in metres?")
         return State(
-            min(stamp, self._clock(float(state.time.to_sec()))), np.array(state.q, float), position, quaternion, goal,
+            least_fresh(stamp, self._clock(float(state.time.to_sec()))), np.array(state.q, float), position, quaternion, goal,
             opening=float(np.clip(width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
             efforts=np.array(state.tau_J, float), fault=fault,
         )  # fmt: skip

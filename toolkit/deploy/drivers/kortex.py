@@ -18,7 +18,7 @@ import numpy as np
 
 from toolkit.bundle.makers import JOINT_SPEEDS
 from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
-from toolkit.deploy.drivers.stamps import Changes
+from toolkit.deploy.drivers.stamps import Changes, least_fresh
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
 
@@ -145,7 +145,7 @@ class Kortex:
         with self._lock:
             self._measured = measured
         return State(
-            min(stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
+            least_fresh(stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
             efforts=np.array([actuator.torque for actuator in actuators], float), fault=self._trouble or self._complaint(feedback),
         )  # fmt: skip

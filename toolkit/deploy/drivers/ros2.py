@@ -21,7 +21,7 @@ import numpy as np
 
 from toolkit.bundle.manifest import Manifest
 from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
-from toolkit.deploy.drivers.stamps import DeviceClock
+from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
 from toolkit.deploy.drivers.ur import Grip, Scene
 from toolkit.deploy.kinematics import matrix_of, quaternion_of
 from toolkit.errors import ToolkitError
@@ -109,7 +109,7 @@ class Ros2:
             raise ToolkitError(f"/joint_states names {len(names)} joints and has {len(message.position)} positions")
         position, quaternion, goal, seen = self.scene()
         speeds, efforts = self._present("speed", message.velocity, order), self._present("effort", message.effort, order)
-        return State(min(stamp, seen), np.array(message.position, float)[order], position, quaternion, goal, opening=self.opening(),
+        return State(least_fresh(stamp, seen), np.array(message.position, float)[order], position, quaternion, goal, opening=self.opening(),
                      speeds=speeds, efforts=efforts, fault=self._stopped)  # fmt: skip
 
     def _present(self, what: str, values: Sequence[float], order: list[int]) -> np.ndarray | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 DRIFT = 1e-3
 """[1] by which a device's clock is let run slower than ours, so that its offset is found anew, not for ever the luckiest packet's; and
 faster, before it counts as put on."""
-LEAP, SETTLING = 0.1, 1.0
+LEAP, SETTLING = 0.1, 0.2
 """[s] by which a stamp may come before its time and be taken for a quicker packet, and [s] from the first packet on in which any may: those
 that waited before the connection was read are the slowest."""
 
@@ -57,3 +57,9 @@ class Changes:
         if number != self._last:
             self._last, self._since = number, self._now()
         return self._since
+
+
+def least_fresh(*stamps: float) -> float:
+    """Of what one state is made of [s, time.monotonic]: the stamp farthest from now, so that none from the past or the future is hidden."""
+    now = time.monotonic()
+    return max(stamps, key=lambda stamp: float("inf") if stamp != stamp else abs(now - stamp))

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.deploy.arm import ArmInfo, Command, State
-from toolkit.deploy.drivers.stamps import DeviceClock
+from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
 from toolkit.deploy.kinematics import matrix_of, vector_of
 from toolkit.errors import ToolkitError
 
@@ -122,7 +122,7 @@ class UniversalRobots:
         fault = fault or ("protective stop" if receive.isProtectiveStopped() else "")
         position, quaternion, goal, stamp = self.scene()
         return State(
-            min(stamp, self._clock(float(receive.getTimestamp()))), joints, position, quaternion, goal, opening=self.opening(),
+            least_fresh(stamp, self._clock(float(receive.getTimestamp()))), joints, position, quaternion, goal, opening=self.opening(),
             speeds=speeds if len(speeds) else None, efforts=efforts if len(efforts) else None, fault=fault,
         )  # fmt: skip
 

@@ -1,0 +1,144 @@
+"""Vendors' drivers on mocks of their packages: what passes through the driver's units, clocks and threads, fault by fault."""
+
+import json
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from toolkit.bundle.reading import load_bundle
+from toolkit.cli import main
+from toolkit.deploy.arm import Command
+from toolkit.deploy.drivers.stamps import DeviceClock
+from toolkit.deploy.faults import COMPLAINT, VENDOR_HARMS, harms_for, trials
+from toolkit.deploy.kinematics import Kinematics
+from toolkit.deploy.mocks import VENDORS, mocked
+from toolkit.runs.seeds import EVALUATION_SEEDS
+
+PLAYED = ("nothing", "nothing new comes, nor a stamp", "frozen but for encoder noise", "joints in degrees", "a joint missing",
+          "gripper not numbers", "the arm does not obey", COMPLAINT)  # fmt: skip
+"""Beside the layers stamp and vendor; `bench faults --driver NAME` plays all."""
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return load_bundle("kinova3")
+
+
+def unmet(found):
+    return [trial for trial in found if not trial.met]
+
+
+@pytest.mark.parametrize("name", VENDORS)
+def test_every_fault_is_met_through_the_vendors_driver(bundle, name):
+    with mocked(bundle, name) as driver:
+        harms = [harm for harm in harms_for(driver.vendor) if harm.name in PLAYED or harm.layer in ("stamp", "vendor")]
+        found = list(trials(bundle, driver, driver.connect(), "joint", tuple(harms)))
+    assert len(found) == len(harms) >= 9 and not unmet(found), unmet(found)
+    assert (found[0].fault, found[0].outcome, found[0].seen) == ("nothing", "success", ""), found[0]
+    assert all(trial.seen for trial in found if trial.must in ("stop", "pass") and trial.layer != "vendor")
+
+
+@pytest.mark.parametrize("name", ["ur", "franka"])
+def test_poses_arrive_in_the_vendors_own_frame_and_order(bundle, name):
+    """A whole episode as poses: a base turned the wrong way, or a quaternion's scalar at the wrong end, would never end in success."""
+    with mocked(bundle, name) as driver:
+        info = driver.connect()
+        found = list(trials(bundle, driver, info, "pose", tuple(harm for harm in harms_for(driver.vendor) if harm.name == "nothing")))
+    assert [trial.outcome for trial in found] == ["success"]
+
+
+def test_a_driver_that_stamps_when_it_is_asked_is_caught(bundle, monkeypatch):
+    monkeypatch.setattr(DeviceClock, "__call__", lambda self, seconds: time.monotonic())
+    with mocked(bundle, "ur") as driver:
+        harms = tuple(harm for harm in harms_for(driver.vendor) if harm.name == "stamp a second old")
+        found = list(trials(bundle, driver, driver.connect(), "joint", harms))
+    assert unmet(found) == found and not found[0].seen
+
+
+@pytest.mark.parametrize("name", VENDORS)
+def test_a_lie_comes_out_of_the_driver_as_it_went_into_the_vendors_interface(bundle, name):
+    with mocked(bundle, name) as driver:
+        driver.begin(EVALUATION_SEEDS)
+        truth = driver.arm.state()
+        read = driver.report(truth)
+        turns = (read.joints - truth.joints) / (2 * np.pi)
+        np.testing.assert_allclose(turns, turns.round(), atol=1e-9)  # Kortex counts from 0 to 360 degrees
+        np.testing.assert_allclose([read.opening, *read.object_position, *read.goal],
+                                   [truth.opening, *truth.object_position, *truth.goal], atol=1e-9)  # fmt: skip
+        assert abs(read.stamp - truth.stamp) < 0.05, "the device's clock is set to ours"
+
+
+def test_the_object_lies_where_the_seed_puts_it_in_robosuite(bundle, task):
+    with mocked(bundle, "kortex") as driver:
+        for seed in (EVALUATION_SEEDS, EVALUATION_SEEDS + 7):
+            driver.arm.begin(seed)
+            pose, goal = task.sample_start(np.random.default_rng(seed))
+            state = driver.arm.state()
+            np.testing.assert_allclose(state.object_position, pose[:3], atol=1e-9)
+            np.testing.assert_allclose(np.abs(state.object_quaternion @ pose[3:]), 1.0, atol=1e-9)
+            np.testing.assert_allclose(state.goal, goal, atol=1e-9)
+
+
+def test_the_arm_carries_what_it_has_closed_on_and_nothing_else(bundle):
+    with mocked(bundle, "ros2") as driver:
+        arm, manifest = driver.arm, bundle.manifest
+        arm.begin(EVALUATION_SEEDS)
+        before = arm.state().object_position
+        arm.grip(0.0)
+        arm.aim(np.array(manifest.start.arm_rad) + 0.2)
+        time.sleep(0.3)
+        assert np.array_equal(arm.state().object_position, before), "closed away from it"
+        arm.begin(EVALUATION_SEEDS)
+        start = Kinematics.of(manifest, bundle.mjcf)
+        start.place(np.array(manifest.start.arm_rad), bundle.golden["episode_fingers"][0])
+        arm.reach(arm.state().object_position, start.rotation)
+        time.sleep(1.5)
+        arm.grip(0.0)
+        time.sleep(0.8)
+        assert arm.state().opening > 0.1, "the object is between the jaws"
+        arm.reach(before + [0, 0, 0.1], start.rotation)
+        time.sleep(1.0)
+        assert arm.state().object_position[2] - before[2] == pytest.approx(0.1, abs=0.02)
+        arm.grip(1.0)
+        time.sleep(0.7)
+        assert arm.state().object_position[2] == pytest.approx(before[2])
+
+
+def test_what_was_imported_before_is_there_again(bundle, monkeypatch):
+    mine = object()
+    monkeypatch.setitem(sys.modules, "franky", mine)
+    monkeypatch.delitem(sys.modules, "rtde_control", raising=False)
+    for name in ("franka", "ur"):
+        with mocked(bundle, name):
+            assert sys.modules["franky" if name == "franka" else "rtde_control"] is not mine
+    assert sys.modules["franky"] is mine and "rtde_control" not in sys.modules
+
+
+def test_a_clockless_vendor_has_no_wrong_clock():
+    layers = {name: {harm.layer for harm in harms_for(vendor)} for name, vendor in VENDORS.items()}
+    assert "stamp" not in layers["kortex"] and all("stamp" in layers[name] for name in ("ur", "franka", "ros2"))
+    assert COMPLAINT not in {harm.name for harm in harms_for(VENDORS["ros2"])} and set(VENDOR_HARMS) <= set(harms_for(VENDORS["ur"]))
+
+
+def test_the_command_plays_a_vendors_faults(capsys):
+    main(["bench", "faults", "kinova3", "--driver", "kortex", "--only", "vendor", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["unmet"] == 0 and found["driver"] == "kortex" and {row["form"] for row in found["trials"]} == {"joint"}
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "faults", "--driver", "kortex", "--form", "pose"])
+    assert stop.value.code == 2 and "takes no 'pose' commands" in capsys.readouterr().err
+
+
+def test_kortex_goes_on_at_its_last_speed_until_its_driver_stops_it(bundle):
+    """What the mock is for: an arm whose runtime has gone is stopped by the driver's thread, not by itself."""
+    with mocked(bundle, "kortex") as driver:
+        driver.begin(EVALUATION_SEEDS)
+        joints = driver.read().joints
+        rows = np.linspace(joints, joints + 0.01, 3)[1:]
+        driver.send(Command("joint", False, rows[-1], np.full(len(joints), 0.2), 1.0, 1.0, 0.08, rows))
+        time.sleep(0.1)
+        moving = driver.arm.state().speeds
+        time.sleep(0.4)
+        assert np.abs(moving).max() > 0.01 and not driver.arm.state().speeds.any()
