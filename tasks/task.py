@@ -127,7 +127,7 @@ class ModelTask(Task):
 
     @abstractmethod
     def scene(self, model: "mujoco.MjModel", data: "mujoco.MjData") -> Scene:
-        """The scene of a model from ``model``, or of any robot in between."""
+        """The scene of a model from ``spec``, or of any robot in between."""
 
     @abstractmethod
     def environment(self, robot: "ModelRobot") -> Any:

@@ -1,0 +1,309 @@
+"""Door, hammer, relocate: the tasks of the Hand Manipulation Suite, as gymnasium-robotics has them.
+
+Rajeswaran et al., "Learning Complex Dexterous Manipulation with Deep Reinforcement Learning and Demonstrations", RSS 2018; scenes, starts,
+observations and goals are those of gymnasium-robotics' AdroitHandDoor, AdroitHandHammer and AdroitHandRelocate. Scenes are read from the
+installed package, and nothing in them is changed: visual meshes stay, as they collide with nothing, weigh nothing (all masses are given)
+and are wanted for pictures.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robots.model_robot import ModelRobot
+from tasks.task import ModelTask, Scene
+
+CONTROL_FREQUENCY = 100.0
+"""Policy steps a second: SUBSTEPS of 2 ms each."""
+SUBSTEPS = 5
+HORIZON = 200
+"""Policy steps of an episode (gymnasium-robotics, as registered; Meta-Evolve, hyperparameters)."""
+HOLD_STEPS = {"door": 1, "hammer": 81, "relocate": 40}
+"""Policy steps at the goal that make a success, not necessarily one after another: those by which Meta-Evolve's released code counts its
+episodes (Hand Manipulation Suite with evolving robots). gymnasium-robotics only says of each step whether it is at the goal."""
+
+FINGER_JOINTS = (
+    *(f"{finger}J{k}" for finger in ("FF", "MF", "RF") for k in (3, 2, 1, 0)),
+    *(f"LFJ{k}" for k in (4, 3, 2, 1, 0)),
+    *(f"THJ{k}" for k in (4, 3, 2, 1, 0)),
+)
+HAND_JOINTS = ("WRJ1", "WRJ0", *FINGER_JOINTS)
+MOUNT_JOINTS = {
+    "door": ("ARTz", "ARRx", "ARRy", "ARRz"),
+    "hammer": ("ARRx", "ARRy"),
+    "relocate": ("ARTx", "ARTy", "ARTz", "ARRx", "ARRy", "ARRz"),
+}
+"""Joints of the forearm's mount: slides ART [m], hinges ARR [rad]; the robot's own, in the task's scene."""
+
+OPEN = 1.35
+"""Angle [rad] of the door from which on it counts as open."""
+AJAR = 1.0
+"""Angle [rad] from which on the observation says +1 instead of -1."""
+NAILED = 0.01
+"""Distance [m] of the nail's head from where it shall be."""
+NEAR = 0.1
+"""Distance [m] of the ball from where it shall be."""
+FALLEN = -0.05
+"""Height [m] of a ball that has left the table, whose top is at 0: no hand reaches below."""
+
+SPREAD = {
+    "door": (
+        0.16, 0.29, 0.63, 0.14, 0.3, 0.098, 0.24, 0.3, 0.33, 0.1, 0.39, 0.24, 0.29, 0.12, 0.3, 0.28, 0.33, 0.12, 0.12, 0.26,
+        0.32, 0.37, 0.25, 0.27, 0.069, 0.12, 0.32, 0.77, 0.53, 0.14, 0.19, 0.063, 0.18, 0.16, 0.082, 0.12, 0.12, 0.048, 0.85,
+    ),
+    "hammer": (
+        0.092, 0.11, 0.18, 0.23, 0.09, 0.16, 0.33, 0.36, 0.074, 0.39, 0.28, 0.37, 0.055, 0.28, 0.4, 0.46, 0.11, 0.084, 0.46,
+        0.35, 0.41, 0.2, 0.26, 0.055, 0.11, 0.28, 0.014, 0.41, 0.095, 0.25, 0.59, 0.56, 0.66, 0.067, 0.012, 0.052, 0.069, 0.022,
+        0.065, 0.2, 0.18, 0.26, 0.013, 0.0052, 0.042, 0.19,
+    ),
+    "relocate": (
+        0.057, 0.0093, 0.14, 0.23, 0.21, 0.092, 0.035, 0.13, 0.12, 0.16, 0.32, 0.32, 0.051, 0.34, 0.22, 0.25, 0.048, 0.22, 0.3,
+        0.34, 0.1, 0.072, 0.27, 0.43, 0.47, 0.48, 0.26, 0.047, 0.12, 0.22, 0.044, 0.089, 0.088, 0.12, 0.14, 0.11, 0.13, 0.16,
+        0.12,
+    ),
+}  # fmt: skip
+"""Standard deviation of each number of the observation over the human demonstrations of Rajeswaran et al. (hand_dapg), in its unit: the
+smallest scale by which a policy normalises it."""
+SHIFTED = 0.15
+"""Of that: the standard deviation with which a search begins to explore the offset of each number. By such offsets alone, each tried for
+whole episodes, hands half way to two fingers open doors and relocate balls as the source does."""
+
+
+class _Scene(Scene):
+    """What the three scenes share: the hand, by names that were looked up once.
+
+    Args:
+        model: of any hand in the task's scene.
+        data: of that model.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self.model, self.data = model, data
+        self._limited = np.flatnonzero(model.jnt_limited)
+        self._addresses = model.jnt_qposadr[self._limited]
+        self._palm = model.site("S_grasp").id
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Draw what the task draws, in gymnasium-robotics' order; see ``Scene.begin``.
+
+        All joints begin at zero, as there; one whose range does not reach so far at the end of its range.
+        """
+        self._place(rng)
+        low, high = self.model.jnt_range[self._limited].T
+        self.data.qpos[self._addresses] = np.clip(self.data.qpos[self._addresses], low, high)
+        mujoco.mj_forward(self.model, self.data)
+
+    def _place(self, rng: np.random.Generator) -> None:
+        raise NotImplementedError
+
+    def lost(self) -> bool:
+        """Never: a hand may yet push door and nail."""
+        return False
+
+
+class DoorScene(_Scene):
+    """A door with a latch, at a place that is drawn."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        super().__init__(model, data)
+        self._frame, self._handle = model.body("frame").id, model.site("S_handle").id
+        self._hinge = model.joint("door_hinge").qposadr[0]
+
+    def _place(self, rng: np.random.Generator) -> None:
+        for axis, (low, high) in enumerate(((-0.3, -0.2), (0.25, 0.35), (0.252, 0.35))):
+            self.model.body_pos[self._frame, axis] = rng.uniform(low, high)
+
+    def observe(self) -> np.ndarray:
+        """The record (39,)."""
+        data, out = self.data, np.empty(39)
+        hinge = data.qpos[self._hinge]
+        palm, handle = data.site_xpos[self._palm], data.site_xpos[self._handle]
+        out[:27] = data.qpos[1:-2]
+        out[27], out[28] = data.qpos[-1], hinge
+        out[29:32], out[32:35], out[35:38] = palm, handle, palm - handle
+        out[38] = 1.0 if hinge > AJAR else -1.0
+        return out
+
+    def at_goal(self) -> bool:
+        """Whether the door is open."""
+        return bool(self.data.qpos[self._hinge] >= OPEN)
+
+
+class HammerScene(_Scene):
+    """A hammer on the table, and a nail in a board whose height is drawn."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        super().__init__(model, data)
+        self._board, self._hammer = model.body("nail_board").id, model.body("Object").id
+        self._nail, self._goal = model.site("S_target").id, model.site("nail_goal").id
+        self._force = model.sensor("S_nail").adr[0]
+
+    def _place(self, rng: np.random.Generator) -> None:
+        self.model.body_pos[self._board, 2] = rng.uniform(0.1, 0.25)
+
+    def observe(self) -> np.ndarray:
+        """The record (46,)."""
+        data, out = self.data, np.empty(46)
+        out[:27] = data.qpos[:-6]
+        out[27:33] = np.clip(data.qvel[-6:], -1.0, 1.0)
+        out[33:36], out[36:39] = data.site_xpos[self._palm], data.xpos[self._hammer]
+        out[39:42] = _euler(data.xmat[self._hammer])
+        out[42:45] = data.site_xpos[self._nail]
+        out[45] = min(max(data.sensordata[self._force], -1.0), 1.0)
+        return out
+
+    def at_goal(self) -> bool:
+        """Whether the nail is in."""
+        return bool(np.linalg.norm(self.data.site_xpos[self._nail] - self.data.site_xpos[self._goal]) < NAILED)
+
+
+class RelocateScene(_Scene):
+    """A ball on the table and a place in the air, both drawn."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        super().__init__(model, data)
+        self._ball, self._target = model.body("Object").id, model.site("target").id
+
+    def _place(self, rng: np.random.Generator) -> None:
+        self.model.body_pos[self._ball, 0] = rng.uniform(-0.15, 0.15)
+        self.model.body_pos[self._ball, 1] = rng.uniform(-0.15, 0.3)
+        for axis, (low, high) in enumerate(((-0.2, 0.2), (-0.2, 0.2), (0.15, 0.35))):
+            self.model.site_pos[self._target, axis] = rng.uniform(low, high)
+
+    def observe(self) -> np.ndarray:
+        """The record (39,)."""
+        data, out = self.data, np.empty(39)
+        palm, ball, target = data.site_xpos[self._palm], data.xpos[self._ball], data.site_xpos[self._target]
+        out[:30] = data.qpos[:-6]
+        out[30:33], out[33:36], out[36:39] = palm - ball, palm - target, ball - target
+        return out
+
+    def at_goal(self) -> bool:
+        """Whether the ball is where it shall be."""
+        return bool(np.linalg.norm(self.data.xpos[self._ball] - self.data.site_xpos[self._target]) < NEAR)
+
+    def lost(self) -> bool:
+        """Whether the ball has fallen off the table."""
+        return bool(self.data.xpos[self._ball, 2] < FALLEN)
+
+
+def _euler(xmat: np.ndarray) -> np.ndarray:
+    """Angles (3,) [rad] of a rotation Rx Ry Rz that is given by its nine numbers, row by row; gymnasium-robotics' convention."""
+    return np.array([-np.arctan2(xmat[5], xmat[8]), np.arctan2(xmat[2], np.hypot(xmat[5], xmat[8])), -np.arctan2(xmat[1], xmat[0])])
+
+
+def _joints(names: tuple[str, ...]) -> dict[str, int]:
+    return {f"joint/{name}": 1 for name in names}
+
+
+@dataclass(frozen=True, eq=False)
+class HandTask(ModelTask):
+    """A task of the suite.
+
+    Attributes:
+        environment_class: of gymnasium-robotics, by its name.
+        scene_class: reads and places what is in it.
+    """
+
+    name: str
+    observation: Mapping[str, int]
+    environment_class: str
+    scene_class: type[_Scene]
+    horizon: int = HORIZON
+    control_frequency: float = CONTROL_FREQUENCY
+    substeps: int = SUBSTEPS
+
+    family = "adroit-free"
+    consecutive = False
+
+    @property
+    def hold_steps(self) -> int:
+        """HOLD_STEPS."""
+        return HOLD_STEPS[self.name]
+
+    @property
+    def action(self) -> dict[str, int]:
+        """One servo's target each: -1 and +1 are the ends of its range."""
+        return {f"servo/{name}": 1 for name in (*MOUNT_JOINTS[self.name], *HAND_JOINTS)}
+
+    @property
+    def observation_scale(self) -> np.ndarray:
+        """SPREAD."""
+        return np.array(SPREAD[self.name])
+
+    @property
+    def explored(self) -> np.ndarray:
+        """SHIFTED times SPREAD."""
+        return SHIFTED * self.observation_scale
+
+    @property
+    def responding(self) -> np.ndarray:
+        """Nothing: offsets of the observation are enough to begin with."""
+        return np.zeros(len(self.action))
+
+    def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
+        """The robot in the task's scene.
+
+        Raises:
+            ValueError: a robot of another family.
+        """
+        from grippers.adroit import asset_path
+
+        if robot.family.name != self.family:
+            raise ValueError(f"{robot.name} is of the family {robot.family.name}; {self.name} is played by {self.family}")
+        spec = mujoco.MjSpec.from_file(str(asset_path() / f"adroit_{self.name}.xml"))
+        robot.change(spec)
+        return spec
+
+    def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> Scene:
+        """The scene of a model that ``spec`` made, or of one in between."""
+        return self.scene_class(model, data)
+
+    def environment(self, robot: ModelRobot) -> Any:
+        """gymnasium-robotics' environment, sparsely rewarded, with this robot in it; ``step``, ``reset`` and what they observe are its own.
+
+        Episodes begin where a scene's do: a joint that cannot be at zero at the end of its range.
+        """
+        from gymnasium_robotics.envs import adroit_hand
+
+        model = self.spec(robot).compile()
+
+        class Environment(getattr(adroit_hand, self.environment_class)):
+            def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+                return model, mujoco.MjData(model)
+
+        environment = Environment(reward_type="sparse")
+        self.scene(model, environment.data).begin(np.random.default_rng(0))
+        environment.init_qpos = environment.data.qpos.copy()
+        return environment
+
+
+CARDS: dict[str, HandTask] = {
+    task.name: task
+    for task in (
+        HandTask(
+            "door",
+            _joints((*MOUNT_JOINTS["door"][1:], *HAND_JOINTS))
+            | {"latch": 1, "hinge": 1, "palm": 3, "handle": 3, "palm_from_handle": 3, "ajar": 1},
+            "AdroitHandDoorEnv", DoorScene,
+        ),
+        HandTask(
+            "hammer",
+            _joints((*MOUNT_JOINTS["hammer"], *HAND_JOINTS))
+            | {"nail_depth": 1, "hammer_velocity": 3, "hammer_rates": 3, "palm": 3, "hammer": 3, "hammer_angles": 3, "nail": 3,
+               "nail_force": 1},
+            "AdroitHandHammerEnv", HammerScene,
+        ),
+        HandTask(
+            "relocate",
+            _joints((*MOUNT_JOINTS["relocate"], *HAND_JOINTS))
+            | {"palm_from_ball": 3, "palm_from_target": 3, "ball_from_target": 3},
+            "AdroitHandRelocateEnv", RelocateScene,
+        ),
+    )
+}  # fmt: skip
+"""Units: joints, latch, hinge and angles [rad] (slides [m]), positions [m] in the world's axes, velocities [m/s, rad/s] cut to +-1, force
+[N] cut to +-1, ajar -1 or +1."""
