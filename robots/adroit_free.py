@@ -33,7 +33,7 @@ SWING = (np.pi / 4, 3 * np.pi / 4)
 """Range [rad] of the joint that moves: 0 lies in the palm's plane, pi/2 stands upright on it."""
 SERVO_MARGIN = 0.01
 """[rad] by which its servo may be asked to go beyond that range, so that it can press against the stop."""
-FROZEN = 1e-8
+FROZEN = 1e-10
 """Half range [rad] of a joint that moves no more; MuJoCo wants a range."""
 NOTHING = 1e-6
 """Radius and half length [m] of a shape that has vanished."""
@@ -168,7 +168,7 @@ def element(body: str, quantity: str) -> str:
         return f"{finger}{before[part]}.link"
     if part == "metacarpal":
         return "palm.size" if quantity == "size" else f"{body}.{quantity}"
-    if quantity in ("size", "site"):
+    if quantity in ("size", "site") or (finger == "th" and quantity == "mass"):
         return f"{body}.link"
     if quantity == "mass":
         return f"{finger}{'proximal' if part == 'knuckle' else part}.mass"
