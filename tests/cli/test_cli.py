@@ -151,7 +151,7 @@ def test_resuming_what_is_not_there_says_so(capsys, learner):
 )  # fmt: skip
 def test_resuming_with_another_config_names_the_difference(capsys, learner, asked, said):
     from robots import ROBOTS
-    from tasks import TASKS
+    from tasks import MODEL_TASKS, TASKS
     from toolkit.expert.shelf import taught_by_hands
     from toolkit.transfer.pipeline import PRESETS, Job, transfer_config
 
@@ -389,10 +389,10 @@ def test_a_picture_of_an_unknown_kind_is_refused(capsys, points):
 
 def test_robots(capsys):
     from robots import ROBOTS
-    from tasks import TASKS
+    from tasks import MODEL_TASKS, TASKS
 
     found = answer(capsys, "robots")
-    assert {row["name"] for row in found["robots"]} == set(ROBOTS) and set(found["tasks"]) == set(TASKS)
+    assert {row["name"] for row in found["robots"]} == set(ROBOTS) and set(found["tasks"]) == {*TASKS, *MODEL_TASKS}
     assert {row["name"] for row in found["robots"] if row["role"] == "source"} == {"adroit"}
     main(["robots"])
     out, _ = capsys.readouterr()

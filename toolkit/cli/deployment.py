@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from toolkit.cli.judging import check_signer
-from toolkit.cli.names import find_robot, find_task, trained_policies
+from toolkit.cli.names import find_pick, find_robot, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -47,7 +47,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
     content, policies, _ = trained_policies(run, target)
     from toolkit.export.packing import write_bundle
 
-    robot, task = find_robot(target), find_task(content["task"])
+    robot, task = find_robot(target), find_pick(content["task"])
     holds = _holds(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
     with Progress("export", quiet=json) as progress:
         label = _label(run, target, robot, task, policies[target], progress)
@@ -243,7 +243,7 @@ def twin(
     if not 0 <= port < 2**16:
         raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
     loaded = load_bundle(bundle)
-    robot, task = find_robot(loaded.manifest.robot.name), find_task(loaded.manifest.task.name)
+    robot, task = find_robot(loaded.manifest.robot.name), find_pick(loaded.manifest.task.name)
     from toolkit.export.packing import check_task
     from toolkit.export.twin import Twin, serve
 

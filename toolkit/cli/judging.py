@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from toolkit.cli.names import expert_policy, find_robot, find_task, make_lab, trained_policies
+from toolkit.cli.names import expert_policy, find_pick, find_robot, find_task, make_lab, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
@@ -151,7 +151,7 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
 
     path = find_bundle(name)
     manifest = load_bundle(path).manifest
-    robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
+    robot, task = find_robot(manifest.robot.name), find_pick(manifest.task.name)
     from toolkit.evaluation.success import evaluate_native
     from toolkit.export.packing import check_records, check_task
 

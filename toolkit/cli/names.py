@@ -8,8 +8,10 @@ from toolkit.errors import ToolkitError
 from toolkit.io.jsonfiles import require
 
 if TYPE_CHECKING:
+    from robots.model_robot import ModelRobot
     from robots.robot import Robot
-    from tasks.task import Task
+    from tasks.pick import PickTask
+    from tasks.task import ModelTask, Task
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.morphology.lab import Lab, System
 
@@ -55,12 +57,30 @@ def find_robot(name: str) -> "System":
 
 def find_task(name: str) -> "Task":
     """A task, or a sentence listing those that exist."""
-    from tasks import TASKS
+    from tasks import MODEL_TASKS, TASKS
 
-    if name not in TASKS:
+    known: dict[str, Task] = TASKS | MODEL_TASKS
+    if name not in known:
         more = "".join(f"; {broken}" for broken in broken_cards())
-        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(TASKS)}{more}")
-    return TASKS[name]
+        raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(known)}{more}")
+    return known[name]
+
+
+def find_pick(name: str) -> "PickTask":
+    """A pick by an arm with a gripper, for what only such a task has: an object, recordings of hands, a bundle for a real arm."""
+    from tasks.pick import PickTask
+
+    task = find_task(name)
+    if not isinstance(task, PickTask):
+        raise ToolkitError(f"task {name!r} is no pick by an arm with a gripper, which this command is for")
+    return task
+
+
+def family_of(task: "ModelTask") -> "list[ModelRobot]":
+    """Every robot that plays a task on one model, the source first."""
+    from robots import MODEL_ROBOTS
+
+    return [robot for robot in MODEL_ROBOTS.values() if robot.family.name == task.family]
 
 
 def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from toolkit.cli.judging import is_bundle
-from toolkit.cli.names import find_robot, find_task, trained_policies
+from toolkit.cli.names import find_pick, find_robot, trained_policies
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 
@@ -97,7 +97,7 @@ def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Ro
         path = find_bundle(name)
         manifest = load_bundle(path).manifest
         who = {"policy": manifest.sha256["policy.safetensors"], "target": manifest.robot.name, "task": manifest.task.name}
-        robot, task = find_robot(manifest.robot.name), find_task(manifest.task.name)
+        robot, task = find_robot(manifest.robot.name), find_pick(manifest.task.name)
         from toolkit.export.packing import check_task
 
         check_task(manifest, task, path)
@@ -109,7 +109,7 @@ def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Ro
         raise ToolkitError(f"{name} has policies for {', '.join(policies)}; choose one by --target")
     robot, policy = next(iter(policies.items()))
     digest = hashlib.sha256((Path(name) / f"{robot}.policy.safetensors").read_bytes()).hexdigest()
-    return policy, find_robot(robot), find_task(content["task"]), {"policy": digest, "target": robot, "task": content["task"]}
+    return policy, find_robot(robot), find_pick(content["task"]), {"policy": digest, "target": robot, "task": content["task"]}
 
 
 def _rate(progress: Progress, title: str) -> Any:

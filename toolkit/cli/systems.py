@@ -21,7 +21,7 @@ def robots(check: str | None = None, json: bool = False) -> None:
         check: name of a system: say all that is wrong with its card and models, then try to start it.
         json: print one JSON object instead of a table.
     """
-    from tasks import TASKS
+    from tasks import MODEL_TASKS, TASKS
 
     known = all_robots()
     if check is not None:
@@ -33,10 +33,10 @@ def robots(check: str | None = None, json: bool = False) -> None:
         for r in known.values()
     ]  # fmt: skip
     if json:
-        emit({"robots": rows, "tasks": list(TASKS), "broken": broken_cards()}, True, "")
+        emit({"robots": rows, "tasks": [*TASKS, *MODEL_TASKS], "broken": broken_cards()}, True, "")
     else:
         table("Systems", list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
-        print(f"Tasks: {', '.join(TASKS)}")
+        print(f"Tasks: {', '.join([*TASKS, *MODEL_TASKS])}")
     _say_broken()
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from toolkit.cli.names import TARGETS, TASK, Method, Metric, find_robot, find_task, make_lab
+from toolkit.cli.names import TARGETS, TASK, Method, Metric, family_of, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, document, emit
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -150,7 +150,8 @@ def transfer(
 
     Args:
         source: the robot that the expert was trained on.
-        targets: where the policy should go; default: kinova3 and iiwa for the preset quick, else jaco, kinova3 and iiwa.
+        targets: where the policy should go; default: kinova3 and iiwa for the preset quick, else jaco, kinova3 and iiwa; for a task of
+            hands or ants, all others of the source's family.
         task: what it does; "<object>-wide" starts within 5 cm and 30 degrees instead of 1 cm.
         kind: evolution tree: steiner, geometric-median or independent paths; asking: the shortest tree, left where a robot reached
             is a better start, as looks tell; direct trains on the targets without evolution.
@@ -177,6 +178,7 @@ def transfer(
     said = _said(transfer, locals(), leave_out=("run", "resume", "json"))
     robot, what = find_robot(source), find_task(task)
     goals = None if targets is None else tuple(find_robot(name) for name in targets)
+    from tasks.task import ModelTask
     from toolkit.expert.shelf import taught_by_hands
     from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
@@ -188,7 +190,8 @@ def transfer(
     taught = "" if expert is None else f"-from-{Path(expert).name}"
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
     if goals is None:
-        goals = tuple(find_robot(name) for name in PRESETS[preset].get("targets", TARGETS))
+        usual = tuple(find_robot(name) for name in PRESETS[preset].get("targets", TARGETS))
+        goals = tuple(family_of(what)[1:]) if isinstance(what, ModelTask) else usual
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task))
     with Progress("transfer", quiet=json) as progress:
         pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run)
