@@ -151,7 +151,7 @@ def test_resuming_what_is_not_there_says_so(capsys, learner):
 )  # fmt: skip
 def test_resuming_with_another_config_names_the_difference(capsys, learner, asked, said):
     from robots import ROBOTS
-    from tasks import MODEL_TASKS, TASKS
+    from tasks import TASKS
     from toolkit.expert.shelf import taught_by_hands
     from toolkit.transfer.pipeline import PRESETS, Job, transfer_config
 
