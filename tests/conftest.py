@@ -1,10 +1,12 @@
 """What the tests share: the robots merged once, and each unmodified robosuite robot loaded once."""
 
 import logging
+import shutil
 import sys
 import threading
 import time
 import types
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -119,6 +121,21 @@ def wait_for():
             time.sleep(0.002)
 
     return wait
+
+
+@pytest.fixture(scope="session")
+def checkout():
+    """Make a folder a checkout with robots/ and grippers/ of its own, to write cards into; what else stands in it is ours."""
+
+    def make(folder):
+        root = Path(__file__).parents[1]
+        for name in ("robots", "grippers"):
+            shutil.copytree(root / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in ("toolkit", "tasks", "meta_evolve.py"):
+            (folder / name).symlink_to(root / name)
+        return folder
+
+    return make
 
 
 @pytest.fixture

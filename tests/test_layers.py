@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TOOLKIT = sorted((ROOT / "toolkit").rglob("*.py"))
+DOOR = ROOT / "meta_evolve.py"
 LEAVES = sorted(path for folder in ("robots", "grippers", "tasks") for path in (ROOT / folder).rglob("*.py"))
 CLI = ROOT / "toolkit" / "cli"
 RUNS_CODE = {"eval", "exec", "compile", "__import__", "yaml.load", "torch.load", "yaml.unsafe_load", "os.system"}
@@ -22,7 +23,7 @@ def label(path):
     return path.relative_to(ROOT).as_posix()
 
 
-every_file = pytest.mark.parametrize("path", [*TOOLKIT, *LEAVES], ids=label)
+every_file = pytest.mark.parametrize("path", [*TOOLKIT, *LEAVES, DOOR], ids=label)
 
 
 @cache
@@ -69,6 +70,13 @@ def test_the_toolkit_knows_no_robot_by_name(path):
 
 
 @pytest.mark.parametrize("path", [*TOOLKIT, *LEAVES], ids=label)
+def test_nothing_imports_the_public_name(path):
+    """It stands on all others; whoever imported it would import all of them."""
+    found = [line for module, _, line in imports(path) if module.split(".")[0] == "meta_evolve"]
+    assert not found, f"{label(path)} imports meta_evolve on lines {found}"
+
+
+@every_file
 def test_only_the_recording_imports_rerun(path):
     found = [line for module, _, line in imports(path) if module.split(".")[0] == "rerun"]
     assert not found or label(path).startswith(MAY_IMPORT_RERUN), f"{label(path)} imports rerun on lines {found}"

@@ -130,11 +130,10 @@ CARDS = {
 
 
 @pytest.fixture
-def user(tmp_path):
-    """A copy of robots/ and grippers/, to which cards may be added, and how commands run there."""
-    for package in ("robots", "grippers"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+def user(tmp_path, checkout):
+    """A checkout to whose robots/ and grippers/ cards may be added, and how commands run there."""
+    checkout(tmp_path)
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
 
     def run(*words):
         return subprocess.run([sys.executable, "-m", "toolkit.cli", *words], capture_output=True, text=True, cwd=tmp_path, env=environment)

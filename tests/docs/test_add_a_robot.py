@@ -4,7 +4,6 @@ import importlib.util
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import robots
 from grippers import GRIPPERS
 from grippers.gripper import Gripper
 from robots import ROBOTS
@@ -26,23 +24,17 @@ CODE = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A copy of robots/ with the page's file in it."""
-    folder = tmp_path_factory.mktemp("user")
-    shutil.copytree(robots.__path__[0], folder / "robots", ignore=shutil.ignore_patterns("__pycache__"))
+def folder(tmp_path_factory, checkout):
+    """A checkout with the page's file in its robots/."""
+    folder = checkout(tmp_path_factory.mktemp("user"))
     (folder / "robots" / "panda140.py").write_text(CODE[0])
     return folder
-
-
-def environment(folder):
-    """os.environ with a folder before the repository on the path."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join((str(folder), str(Path(__file__).parents[2])))}
 
 
 def test_the_check_passes_and_the_robot_is_known(folder):
     done = subprocess.run(
         [sys.executable, "-m", "toolkit.cli", "robots", "--check", "panda140", "--json"],
-        cwd=folder, env=environment(folder), capture_output=True, text=True, check=False,
+        cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

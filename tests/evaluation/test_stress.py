@@ -9,9 +9,9 @@ import pytest
 from robots import ROBOTS
 from toolkit.bundle.manifest import Held
 from toolkit.cli import main
-from toolkit.cli.deployment import _holds
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.stress import CONDITIONS, Ledger, StressedRobot, Tried, pair_trials, ranges_of, single_trials
+from toolkit.export.labels import holds_of
 from toolkit.export.packing import _held
 
 UP = np.array([0, 0, 0.3, 0, 0, 0, -1.0])
@@ -150,18 +150,18 @@ def test_ranges_go_into_a_bundle_only_from_a_test_of_its_own_policy(tmp_path):
     }  # fmt: skip
     (tmp_path / "result.json").write_text(json.dumps(result))
     held = Held("delay", "steps", "late", 0.0, 0.0, 2.0, 0.0, 3.0, 20)
-    assert _holds(tmp_path, policy, "jaco", "pick") == (held,)
+    assert holds_of(tmp_path, policy, "jaco", "pick") == (held,)
     table = "\n".join(_held((held,)))
     assert "## Where it holds" in table and "| late [steps] | 0 | 0 to 2 | 0 to 3 |" in table and "20 episodes" in table
     assert _held(()) == []
     with pytest.raises(ToolkitError, match="is of target jaco, but what is exported is iiwa; give its own stress test"):
-        _holds(tmp_path, policy, "iiwa", "pick")
+        holds_of(tmp_path, policy, "iiwa", "pick")
     policy.write_bytes(b"another policy")
     with pytest.raises(ToolkitError, match="is of policy .*; give its own stress test"):
-        _holds(tmp_path, policy, "jaco", "pick")
+        holds_of(tmp_path, policy, "jaco", "pick")
     policy.write_bytes(b"a policy")
     (tmp_path / "result.json").write_text(json.dumps(result | {"ranges": {"delay": {"low": 1.0}}}))
     with pytest.raises(ToolkitError, match="is no result of a stress test"):
-        _holds(tmp_path, policy, "jaco", "pick")
+        holds_of(tmp_path, policy, "jaco", "pick")
     with pytest.raises(ToolkitError, match="give the folder of a finished stress --out"):
-        _holds(tmp_path / "nowhere", policy, "jaco", "pick")
+        holds_of(tmp_path / "nowhere", policy, "jaco", "pick")

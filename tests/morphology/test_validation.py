@@ -1,5 +1,6 @@
 """The likeliest mistakes of somebody who describes a new robot: each gets one sentence with culprit, value and mend."""
 
+import os
 import re
 import subprocess
 import sys
@@ -211,26 +212,13 @@ def test_a_slide_cannot_play_a_hinge():
     assert found == ["gripper panda_gripper: joint 'finger_joint1' is a slide and cannot play FFJ2; give it FFS or THS"]
 
 
-def test_a_card_that_does_not_load_is_one_sentence_on_the_command_line(tmp_path):
-    """As a user sees it: a copy of robots/ with one more card, broken."""
-    import shutil
-
-    import robots
-
-    shutil.copytree(robots.__path__[0], tmp_path / "robots", ignore=shutil.ignore_patterns("__pycache__"))
+def test_a_card_that_does_not_load_is_one_sentence_on_the_command_line(tmp_path, checkout):
+    """As a user sees it: one more card, broken."""
+    checkout(tmp_path)
     card = (tmp_path / "robots" / "panda.py").read_text().replace('name="panda"', 'name="my panda"').replace("PANDA =", "MINE =")
     (tmp_path / "robots" / "mine.py").write_text(card)
     done = subprocess.run([sys.executable, "-m", "toolkit.cli", "robots"], capture_output=True, text=True, cwd=tmp_path,
-                          env=environment(tmp_path))  # fmt: skip
+                          env=os.environ | {"PYTHONPATH": str(tmp_path)})  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert "a card in robots/ or grippers/ does not load: robot name 'my panda' is not an identifier" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def environment(*folders):
-    """os.environ with folders before the repository on the path."""
-    import os
-    from pathlib import Path
-
-    root = Path(__file__).parents[2]
-    return os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (*folders, root)))}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from toolkit.cli.judging import check_signer
-from toolkit.cli.names import find_pick, find_robot, trained_policies
+from toolkit.cli.names import bundle_roles, find_pick, find_robot, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -17,7 +17,6 @@ from toolkit.io.quoting import told
 if TYPE_CHECKING:
     import subprocess
 
-    from toolkit.bundle.manifest import Held, Lineage, Success
     from toolkit.bundle.reading import Bundle
     from toolkit.deploy.drivers.sim import SimDriver
 
@@ -25,7 +24,6 @@ FormName = Literal["osc", "pose", "joint"]
 PaceName = Literal["real", "lockstep"]
 DriverName = Literal["sim", "ur", "franka", "kortex", "ros2"]
 
-LABEL_EPISODES = 40
 TOKEN = "META_EVOLVE_TWIN_TOKEN"
 """Holds the token of a twin that other machines can reach: on a command line everybody on the machine could read it."""
 OWNER = "META_EVOLVE_TWIN_OWNER"
@@ -45,13 +43,14 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
         json: print the manifest.
     """
     content, policies, _ = trained_policies(run, target)
+    from toolkit.export.labels import LABEL_EPISODES, holds_of, label_of, lineage_of
     from toolkit.export.packing import write_bundle
 
     robot, task = find_robot(target), find_pick(content["task"])
-    holds = _holds(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
+    holds = holds_of(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
     with Progress("export", quiet=json) as progress:
-        label = _label(run, target, robot, task, policies[target], progress)
-        manifest = write_bundle(policies[target], robot, task, content, _lineage(run, target), label, out,
+        label = label_of(run, robot, task, policies[target], progress.count(f"{target}, unmodified", LABEL_EPISODES))
+        manifest = write_bundle(policies[target], robot, task, content, lineage_of(run, target), label, out,
                                 lambda what: progress.show(f"export {target}", what, now=True), key=sign, holds=holds)  # fmt: skip
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
                                    + told("verify", out))  # fmt: skip
@@ -238,16 +237,12 @@ def twin(
     import secrets
     import socket
 
-    from toolkit.bundle.reading import load_bundle
 
     if not 0 <= port < 2**16:
         raise ToolkitError(f"port is {port}; give one from 1 to 65535, or 0 for any that is free")
-    loaded = load_bundle(bundle)
-    robot, task = find_robot(loaded.manifest.robot.name), find_pick(loaded.manifest.task.name)
-    from toolkit.export.packing import check_task
+    _, robot, task = bundle_roles(bundle)
     from toolkit.export.twin import Twin, serve
 
-    check_task(loaded.manifest, task, loaded.path)
     try:
         listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -271,63 +266,3 @@ def _loopback(listener: Any) -> bool:
     import ipaddress
 
     return ipaddress.ip_address(listener.getsockname()[0].split("%")[0]).is_loopback
-
-
-def _holds(folder: Path, policy: Path, target: str, task: str) -> "tuple[Held, ...]":
-    """The ranges that a stress test found, refused if it was another policy's, robot's or task's."""
-    import hashlib
-
-    from toolkit.bundle.manifest import Held
-    from toolkit.io.jsonfiles import read_object
-
-    file = folder / "result.json"
-    content = read_object(file, "give the folder of a finished stress --out")
-    for what, found, wanted in (("policy", content.get("policy"), hashlib.sha256(policy.read_bytes()).hexdigest()),
-                                ("target", content.get("target"), target), ("task", content.get("task"), task)):  # fmt: skip
-        if found != wanted:
-            raise ToolkitError(f"{file} is of {what} {str(found)[:12]}, but what is exported is {wanted[:12]}; give its own stress test")
-    try:
-        tried = {name: [row["conditions"][name] for row in content["alone"] if name in row["conditions"]] for name in content["ranges"]}
-        return tuple(
-            Held(name, found["unit"], found["meaning"], float(found["nominal"]), float(found["low"]), float(found["high"]),
-                 float(min([*tried[name], found["nominal"]])), float(max([*tried[name], found["nominal"]])), content["episodes"])
-            for name, found in content["ranges"].items()
-        )  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ToolkitError(f"{file} is no result of a stress test ({error!r}); give the folder of a finished stress --out") from None
-
-
-def _lineage(run: Path, target: str) -> "Lineage":
-    from toolkit.bundle.manifest import Lineage
-    from toolkit.runs.run import read_nodes, read_success
-
-    tree, report = read_nodes(run), read_success(run)
-    alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
-    if alpha is None:
-        raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
-    route = next((names for names in report.get("routes", {}).values() if names and names[-1] == target), [target])
-    totals = report.get("totals", {})
-    return Lineage(
-        source=next((node["name"] for node in tree["nodes"] if node["kind"] == "source"), "unknown"), route=tuple(route),
-        alpha=tuple(map(float, alpha)), kind=tree["kind"], metric=tree["metric"],
-        train_iterations=int(totals.get("train_iterations", 0)), sim_epochs=int(totals.get("sim_epochs", 0)),
-    )  # fmt: skip
-
-
-def _label(run: Path, target: str, robot: Any, task: Any, policy: Any, progress: Progress) -> "Success":
-    """Success as the run's report has it, or measured now."""
-    from toolkit.bundle.manifest import Success
-    from toolkit.runs.run import read_success
-
-    report = read_success(run)
-    found = report.get("targets", {}).get(target, {}).get("native")
-    measured = "by the run that trained it, through robosuite's own step"
-    if found is None:
-        from toolkit.evaluation.success import evaluate_native
-
-        counter = progress.count(f"{target}, unmodified", LABEL_EPISODES)
-        found = evaluate_native(policy, robot, task, LABEL_EPISODES, progress=counter).to_json()
-        measured = "at export, through robosuite's own step"
-    return Success(found["episodes"], found["successes"], float(found["success_rate"]), tuple(map(float, found["ci95"])), found["seed"],
-                   measured)  # fmt: skip
-

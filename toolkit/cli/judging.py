@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from toolkit.cli.names import expert_policy, find_pick, find_robot, find_task, make_lab, trained_policies
+from toolkit.cli.names import bundle_roles, expert_policy, find_robot, find_task, make_lab, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 
@@ -147,15 +147,8 @@ def bundle_success(name: str, episodes: int, seed: int, quiet: bool) -> "Evaluat
     """Success of a bundle's ONNX graph alone on the unmodified robosuite robot."""
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
-    from toolkit.bundle.reading import find_bundle, load_bundle
-
-    path = find_bundle(name)
-    manifest = load_bundle(path).manifest
-    robot, task = find_robot(manifest.robot.name), find_pick(manifest.task.name)
+    bundle, robot, task = bundle_roles(name)
     from toolkit.evaluation.success import evaluate_native
-    from toolkit.export.packing import check_records, check_task
 
-    check_records(manifest, path)
-    check_task(manifest, task, path)
     with Progress("evaluate", quiet) as progress:
-        return evaluate_native(path, robot, task, episodes, seed, progress=progress.count(f"{robot.name}, unmodified", episodes))
+        return evaluate_native(bundle.path, robot, task, episodes, seed, progress=progress.count(f"{robot.name}, unmodified", episodes))

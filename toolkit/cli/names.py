@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from robots.robot import Robot
     from tasks.pick import PickTask
     from tasks.task import ModelTask, Task
+    from toolkit.bundle.reading import Bundle
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.morphology.lab import Lab, System
 
@@ -81,6 +82,24 @@ def family_of(task: "ModelTask") -> "list[ModelRobot]":
     from robots import MODEL_ROBOTS
 
     return [robot for robot in MODEL_ROBOTS.values() if robot.family.name == task.family]
+
+
+def bundle_roles(name: str) -> tuple["Bundle", "Robot", "PickTask"]:
+    """A bundle by its folder, .zip or shipped name, with the robot and the task that it is for.
+
+    Raises:
+        ToolkitError: there is none, or it is for other records or another task than are here.
+    """
+    from toolkit.bundle.reading import load_bundle
+
+    bundle = load_bundle(name)
+    manifest = bundle.manifest
+    robot, task = find_robot(manifest.robot.name), find_pick(manifest.task.name)
+    from toolkit.export.packing import check_records, check_task
+
+    check_records(manifest, bundle.path)
+    check_task(manifest, task, bundle.path)
+    return bundle, robot, task
 
 
 def make_lab(source: str, targets: Sequence[str], task: str) -> "Lab":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from toolkit.cli.judging import is_bundle
-from toolkit.cli.names import find_pick, find_robot, trained_policies
+from toolkit.cli.names import bundle_roles, find_pick, find_robot, trained_policies
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 
@@ -90,18 +90,10 @@ def stress(
 def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Robot", "PickTask", dict[str, Any]]:
     """What plays on which robot in which task, and the same for the ledger."""
     if is_bundle(name):
-        from toolkit.bundle.reading import find_bundle, load_bundle
-
         if target is not None:
             raise ToolkitError(f"{name} is a bundle, whose robot is written in it; leave --target {target} out")
-        path = find_bundle(name)
-        manifest = load_bundle(path).manifest
-        who = {"policy": manifest.sha256["policy.safetensors"], "target": manifest.robot.name, "task": manifest.task.name}
-        robot, task = find_robot(manifest.robot.name), find_pick(manifest.task.name)
-        from toolkit.export.packing import check_task
-
-        check_task(manifest, task, path)
-        return path, robot, task, who
+        bundle, robot, task = bundle_roles(name)
+        return bundle.path, robot, task, {"policy": bundle.manifest.sha256["policy.safetensors"], "target": robot.name, "task": task.name}
     import hashlib
 
     content, policies, _ = trained_policies(Path(name), target)
