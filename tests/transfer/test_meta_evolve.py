@@ -24,6 +24,7 @@ from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
 from toolkit.runs.seeds import CHECKING_SEEDS, EVALUATION_SEEDS, TRAINING_SEEDS
+from toolkit.transfer.events import Checked
 from toolkit.transfer.meta_evolve import Transfer
 from toolkit.transfer.settings import TransferConfig
 
@@ -195,13 +196,13 @@ def test_every_target_is_reached_and_learned(finished):
 @pytest.mark.parametrize("finished", ["fixed"], indirect=True)
 def test_paths_split_at_the_meta_robot(finished):
     transfer, toy = finished
-    assert list(transfer.routes) == ["path 1", "path 2", "path 3"] and transfer.routes["path 1"] == ["hand"]
-    ends = {tuple(transfer.routes[path]) for path in ("path 2", "path 3")}
+    assert list(transfer.routes) == ["path 1", "path 1.1", "path 1.2"] and transfer.routes["path 1"] == ["hand"]
+    ends = {tuple(transfer.routes[path]) for path in ("path 1.1", "path 1.2")}
     assert ends == {("hand", "meta", "left"), ("hand", "meta", "right")}
     tree = evolution_tree(SOURCE, TARGETS)
     (meta,) = [node.alpha for node in tree.nodes if node.kind == "meta"]
     np.testing.assert_allclose(meta, META, atol=1e-12)
-    for path in ("path 2", "path 3"):
+    for path in ("path 1.1", "path 1.2"):
         start = next(call["alpha"] for call in toy.calls if call["path"] == path)
         off = float(np.linalg.norm(start - meta))
         assert off < 1e-9, f"{path} begins {off:.1e} away from the meta robot"
@@ -273,14 +274,14 @@ def test_calming_and_rousing_scale_the_noise_and_nothing_else(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(calm=0.5, least_noise=0.25), Toy())
     (branch,) = transfer.pending
     first, mean = branch.policy.log_std, branch.policy.mean(OBSERVATION)
-    assert not transfer.weights.rouse(branch), "the first noise is the most"
+    assert not transfer.training.weights.rouse(branch), "the first noise is the most"
     shares = []
-    while transfer.weights.calm(branch):
+    while transfer.training.weights.calm(branch):
         shares.append(branch.noise)
         np.testing.assert_allclose(branch.policy.log_std, first + np.log(branch.noise), rtol=0, atol=1e-12)
     assert shares == [0.5, 0.25], "not halved down to a quarter"
     shares = []
-    while transfer.weights.rouse(branch):
+    while transfer.training.weights.rouse(branch):
         shares.append(branch.noise)
     assert shares == [0.5, 1.0]
     np.testing.assert_allclose(branch.policy.log_std, first, rtol=0, atol=1e-12)
@@ -292,7 +293,7 @@ def test_there_is_less_noise_where_it_alone_stands_in_the_way(tmp_path):
     toy = easy_toy()
     transfer = transfer_of(tmp_path / "run", config(least_noise=0.05), toy)
     transfer.pending[0].policy.set_log_std(np.array([-1.0]))  # more than TOLERANCE bears
-    transfer.leave = lambda branch: False  # every target holds already
+    transfer.look_ahead._leave = lambda branch: []  # every target holds already
     transfer.meta_evolve()
     told = [r for r in records(transfer) if r["event"] in ("check", "explore")]
     assert all(0.05 <= r["noise"] <= 1.0 for r in told)
@@ -331,8 +332,7 @@ def test_siblings_own_their_policies(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(), Toy())
     branch = transfer.pending[0]
     branch.alpha = META
-    transfer.split(branch, transfer.evolution_tree(branch))
-    first, second = transfer.pending
+    second, first = transfer.split(branch, transfer.way.evolution_tree(branch))
     networks = [network for b in (first, second, branch) for network in (b.policy, b.value)]
     before = [network.parameters.copy() for network in networks]
     for changed in range(2):
@@ -341,6 +341,7 @@ def test_siblings_own_their_policies(tmp_path):
     for i in range(2, 6):
         np.testing.assert_array_equal(networks[i].parameters, before[i])
         assert float(networks[i].layers().shift[0]) == 0.0
+    transfer.frontier.replace(branch, [second, first])
     assert [branch.targets for branch in transfer.pending] == [["right"], ["left"]], "the first target goes first"
 
 
@@ -387,7 +388,7 @@ def test_direct_trains_on_the_targets_alone(tmp_path):
     assert counted == toy.episodes - 12
     assert error_at(arrived["near"], near.alpha) < TOLERANCE
     spent = {transfer.routes[path][-1]: cost.sim_epochs for path, cost in transfer.costs.items()}
-    assert spent["left"] == 120 and {r["path"] for r in records(transfer, "budget")} == {"path 3"}, spent
+    assert spent["left"] == 120 and {r["path"] for r in records(transfer, "budget")} == {"path 1.2"}, spent
     assert transfer.costs["path 1"] == type(transfer.costs["path 1"])(), "the shared path of a star costs nothing"
 
 
@@ -458,8 +459,8 @@ def test_an_optimised_path_killed_and_resumed_is_the_same_run(tmp_path, step, ev
     whole.meta_evolve()
     seen = []
 
-    def kill(record, branch):
-        seen.append(record["event"])
+    def kill(entry, branch):
+        seen.append(entry.event.name)
         if seen.count(event) == 3:
             raise Killed
 
@@ -507,7 +508,7 @@ def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
     assert len(places) > 3
     for place in places:
         assert place[1] == pytest.approx(META[1]) or place[[0, 2]] == pytest.approx([0.0, 0.0]), place
-    for path in ("path 2", "path 3"):
+    for path in ("path 1.1", "path 1.2"):
         end = next(t.alpha for t in TARGETS if [t.name] == [r["target"] for r in records(transfer, "arrived") if r["path"] == path])
         for call in toy.calls:
             if call["path"] == path and call["next"] is not None:
@@ -669,7 +670,7 @@ def test_failure_leaves_the_policy_alone(hopeless):
 def ends(folder, targets):
     """Run with a policy that holds everywhere; what arrived when it ended, or after 80 records."""
 
-    def enough(record, branch):
+    def enough(entry, branch):
         if len(records(transfer)) >= 80:
             raise Killed
 
@@ -757,8 +758,8 @@ def test_killed_in_the_last_hop_and_resumed_is_the_same_run(tmp_path, unbroken, 
 def test_killed_right_after_an_event_and_resumed_is_the_same_run(tmp_path, unbroken, event):
     """The record is on disk, the checkpoint is not: the record must not appear twice."""
 
-    def kill(record, branch):
-        if record["event"] == event and record["path"] != "path 1":
+    def kill(entry, branch):
+        if entry.event.name == event and entry.path != "path 1":
             raise Killed
 
     with pytest.raises(Killed):
@@ -916,13 +917,13 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     (branch,) = transfer.pending
     branch.begin_phase(np.full(3, 0.03))
     first = branch.policy.copy()
-    assert transfer.keep_best(branch, 0.4) == "training"
+    assert transfer.training.keep_best(branch, 0.4) == "training"
     for success in (0.3, 0.2):
         branch.policy.set_parameters(branch.policy.parameters + 0.01)
-        outcome = transfer.keep_best(branch, success)
+        outcome = transfer.training.keep_best(branch, success)
     assert outcome == "training" and branch.turn == "weights", "the search's turn is over"
     np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
-    assert transfer.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
+    assert transfer.training.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 
 
 @pytest.mark.parametrize("best, turn", [(0.4, None), (0.6, "weights")])
@@ -930,19 +931,19 @@ def test_the_weights_have_a_turn_before_a_nearer_robot_where_they_can_learn(tmp_
     transfer = transfer_of(tmp_path / "run", config(learner="search", patience=1), Toy())
     (branch,) = transfer.pending
     branch.begin_phase(np.full(3, 0.3))
-    transfer.keep_best(branch, best)
-    assert transfer.keep_best(branch, 0.1) == ("stalled" if turn is None else "training")
+    transfer.training.keep_best(branch, best)
+    assert transfer.training.keep_best(branch, 0.1) == ("stalled" if turn is None else "training")
     assert turn is None or branch.turn == turn
-    assert transfer.keep_best(branch, 0.1) == "stalled", "after both turns a nearer robot is tried"
+    assert transfer.training.keep_best(branch, 0.1) == "stalled", "after both turns a nearer robot is tried"
 
 
 def test_a_spent_budget_leaves_the_best_policy(tmp_path):
     """What arrives is what was measured best on its target, not what came last."""
     measured = []
 
-    def watch(record, branch):
-        if record["event"] == "check" and branch.next_alpha is None:
-            measured.append((record["success"], branch.policy.copy()))
+    def watch(entry, branch):
+        if isinstance(entry.event, Checked) and branch.next_alpha is None:
+            measured.append((entry.event.success, branch.policy.copy()))
 
     settings = config(learner="search", kind="direct", path_budget=400, patience=50, goal=1.0, search=SearchConfig(batch_size=8, reuse=8))
     toy = Toy()
@@ -1034,19 +1035,19 @@ def asked(tmp_path_factory):
 
 def test_a_target_is_left_for_from_where_a_policy_holds_nearest_to_it(asked):
     assert set(asked.arrived) == {"left", "right"}
-    assert asked.routes["path 2"] == ["hand", "meta", "right", "left"]
+    assert asked.routes["path 1.1"] == ["hand", "meta", "right", "left"]
     (left,) = records(asked, "left")
     assert (left["origin"], left["target"], left["share"]) == ("right", "left", 0.75)
     between = TARGETS[1].alpha + 0.75 * (TARGETS[0].alpha - TARGETS[1].alpha)
-    first = next(r for r in records(asked, "moved") if r["path"] == "path 2")
+    first = next(r for r in records(asked, "moved") if r["path"] == "path 1.1")
     assert first["distance"] == pytest.approx(np.linalg.norm(TARGETS[0].alpha - between)) and not first["trained"]
 
 
 def test_asking_costs_looks_and_no_training(asked):
     """All that is played beside the looks is counted as without asking: every episode is in one of the two counts."""
     costs = asked.costs.values()
-    assert sum(cost.sim_epochs + cost.check_episodes for cost in costs) == asked.engine.episodes
-    trained = sum(len(call["seeds"]) for call in asked.engine.of(True))
+    assert sum(cost.sim_epochs + cost.check_episodes for cost in costs) == asked.players.engine.episodes
+    trained = sum(len(call["seeds"]) for call in asked.players.engine.of(True))
     assert sum(cost.sim_epochs for cost in costs) == trained
 
 
@@ -1059,7 +1060,7 @@ def test_where_no_other_policy_holds_the_tree_is_followed(tmp_path):
 
     transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking", allowance=10_000), Lonely())
     transfer.meta_evolve()
-    assert transfer.routes["path 2"] == ["hand", "meta", "left"] and not records(transfer, "left")
+    assert transfer.routes["path 1.1"] == ["hand", "meta", "left"] and not records(transfer, "left")
 
 
 class Trap(Toy):
@@ -1090,29 +1091,30 @@ def test_a_path_that_costs_much_is_raced_from_the_source(raced):
     for record in rivals:
         assert len({record["path"], record["rival"]} & gone) == 1, "one of the two is given up"
         assert raced.routes[record["path"]][0] == "hand"
-    assert sum(cost.sim_epochs + cost.check_episodes for cost in raced.costs.values()) == raced.engine.episodes
+    assert sum(cost.sim_epochs + cost.check_episodes for cost in raced.costs.values()) == raced.players.engine.episodes
 
 
 def test_branches_take_turns_by_what_they_promise(tmp_path):
     transfer = transfer_of(tmp_path / "run", config(learner="search", kind="asking"), Toy())
-    slow, quick = transfer.part(transfer.pending[-1], [frozenset(["left"]), frozenset(["right"])])
-    transfer.pending = [quick, slow]
-    transfer.asking.raced = ["left", "right"]
+    race, pending = transfer.race, transfer.pending
+    slow, quick = transfer.way.part(pending[-1], [frozenset(["left"]), frozenset(["right"])])
+    pending[:] = [quick, slow]
+    race.asking.raced = ["left", "right"]
     for branch, gone, spent in ((slow, 0.1, 70), (quick, 0.5, 70)):
-        transfer.begin(branch, transfer.asking)
-        branch.alpha = gone * transfer.goals[branch.targets[0]]
-        transfer.costs[branch.path].sim_epochs = spent
-    assert transfer.may_change(slow)
-    transfer.choose(transfer.asking)
-    assert transfer.pending[-1] is quick and quick.allowance == 140
-    transfer.costs[quick.path].sim_epochs = 100
-    assert not transfer.may_change(quick)
+        race.begin(branch)
+        branch.alpha = gone * transfer.way.goal(branch)
+        branch.ledger.cost.sim_epochs = spent
+    assert race.may_change(slow)
+    race.choose(pending)
+    assert pending[-1] is quick and quick.allowance == 140
+    quick.ledger.cost.sim_epochs = 100
+    assert not race.may_change(quick)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
 def test_a_tree_that_asks_killed_and_resumed_is_the_same_run(tmp_path, raced, share):
     with pytest.raises(Killed):
-        transfer_of(tmp_path / "run", RACED, Trap(int(share * len(raced.engine.calls)))).meta_evolve()
+        transfer_of(tmp_path / "run", RACED, Trap(int(share * len(raced.players.engine.calls)))).meta_evolve()
     again = transfer_of(tmp_path / "run", RACED, Trap(), resume=True)
     again.meta_evolve()
     assert_same_end(again, raced)
@@ -1165,7 +1167,7 @@ def test_a_phase_without_success_gives_way_to_the_next_hope_then_to_half_the_way
     while branch.next_alpha is not None:
         seen.append(float(np.linalg.norm(branch.next_alpha) / np.linalg.norm(META)))
         assert branch.looked
-        transfer.try_nearer(branch)
+        transfer.stride.try_nearer(branch)
     shortest = transfer.config.xi / np.linalg.norm(META)
     assert seen[:3] == pytest.approx([1.0, 0.5, 0.25]) and shortest <= seen[-1] < 2 * shortest
     assert not branch.looked, "the policy has changed since it looked"

@@ -15,8 +15,8 @@ import numpy as np
 
 from toolkit.evolution import Metric
 from toolkit.evolution.geometry import distances
-from toolkit.learning.policy import GaussianPolicy, ValueFunction
-from toolkit.transfer.branch import Branch, stored_branch
+from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
+from toolkit.transfer.branch import Branch
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,24 @@ class Leap:
     left: float = np.inf
 
 
+@dataclass
+class Origin:
+    """A robot that can be left from.
+
+    Attributes:
+        alpha: (D,) where it is.
+        policy, value: that a path had on it.
+        noise: share of the exploration's standard deviation that the policy bears.
+        route: names of the robots on the way to it, itself included.
+    """
+
+    alpha: np.ndarray
+    policy: GaussianPolicy
+    value: ValueFunction
+    noise: float
+    route: list[str]
+
+
 class Asking:
     """The robots that can be left from, and what they answered.
 
@@ -43,8 +61,7 @@ class Asking:
         xi: the shortest leap, L2 [alpha].
 
     Attributes:
-        origins: robots with a policy, as branches that stand there.
-        routes: names of the robots on the way to each, itself included.
+        origins: robots with a policy; the source is the first.
         leaps: target -> the best answer.
         asked: target -> robots that have answered.
         raced: targets to which a path from the source has been begun.
@@ -53,35 +70,33 @@ class Asking:
 
     def __init__(self, metric: Metric, shares: Sequence[float], xi: float) -> None:
         self._metric, self._shares, self._xi = metric, shares, xi
-        self.origins: list[Branch] = []
-        self.routes: list[list[str]] = []
+        self.origins: list[Origin] = []
         self.leaps: dict[str, Leap] = {}
         self.asked: dict[str, int] = {}
         self.raced: list[str] = []
         self.corners: dict[str, float] = {}
 
     def offer(self, branch: Branch, route: Sequence[str]) -> None:
-        """The robot where ``branch`` stands can be left from, by its policy."""
-        self.origins.append(Branch(branch.path, branch.alpha, [], branch.policy.copy(), branch.value.copy(), noise=branch.noise))
-        self.routes.append(list(route))
+        """The robot where ``branch`` stands, at the end of that ``route``, can be left from by its policy."""
+        self.origins.append(Origin(branch.alpha, branch.policy.copy(), branch.value.copy(), branch.noise, list(route)))
 
     def distance(self, start: np.ndarray, end: np.ndarray) -> float:
         """Between two robots (D,), in the metric."""
         return float(distances(start[None], end[None], self._metric)[0, 0])
 
-    def best(self, target: str, goal: np.ndarray, path: str, holds: Callable[[Branch, np.ndarray], bool]) -> Leap:
+    def best(self, branch: Branch, target: str, goal: np.ndarray, holds: Callable[[Branch, np.ndarray], bool]) -> Leap:
         """The leap that leaves the least of the way to a target; only robots that have not answered yet are looked at.
 
         Args:
+            branch: whose path bears the cost of looking.
             target: its name.
             goal: (D,) where it is.
-            path: that bears the cost of looking.
             holds: whether the policy of a branch holds on a robot (D,).
         """
         best = self.leaps.get(target, Leap())
         for index in range(self.asked.get(target, 0), len(self.origins)):
             origin = self.origins[index]
-            probe = Branch(path, origin.alpha, [target], origin.policy, origin.value, noise=origin.noise)
+            probe = Branch(branch.path, origin.alpha, [target], origin.policy, origin.value, branch.ledger, noise=origin.noise)
             way, length = goal - origin.alpha, self.distance(origin.alpha, goal)
             for share in self._shares:
                 left = (1.0 - share) * length
@@ -110,20 +125,27 @@ class Asking:
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Its arrays, for a checkpoint."""
-        return {key: array for i, origin in enumerate(self.origins) for key, array in origin.tensors(f"origin.{i}").items()}
+        found: dict[str, np.ndarray] = {}
+        for i, origin in enumerate(self.origins):
+            found |= {f"origin.{i}.alpha": origin.alpha} | learner_tensors(f"origin.{i}", origin.policy, origin.value)
+        return found
 
     def state(self) -> dict[str, Any]:
         """All else, as JSON values."""
         leaps = {target: asdict(leap) for target, leap in self.leaps.items() if leap.origin >= 0}
-        return {"origins": [origin.state() for origin in self.origins], "routes": self.routes, "leaps": leaps, "asked": self.asked,
-                "raced": self.raced,
+        origins = [{"noise": origin.noise, "route": origin.route} for origin in self.origins]
+        return {"origins": origins, "leaps": leaps, "asked": dict(self.asked), "raced": list(self.raced),
                 "corners": {path: left if np.isfinite(left) else None for path, left in self.corners.items()}}  # fmt: skip
 
     def restore(
         self, tensors: dict[str, np.ndarray], state: Mapping[str, Any], policy: GaussianPolicy, value: ValueFunction
     ) -> None:
         """Take up what `tensors` and `state` gave out; ``policy`` and ``value`` are networks of the same sizes."""
-        self.origins = [stored_branch(tensors, f"origin.{i}", saved, policy, value) for i, saved in enumerate(state["origins"])]
-        self.routes, self.asked, self.raced = state["routes"], state["asked"], state["raced"]
+        self.origins = []
+        for i, saved in enumerate(state["origins"]):
+            origin = Origin(tensors[f"origin.{i}.alpha"], policy.copy(), value.copy(), saved["noise"], saved["route"])
+            load_learner(tensors, f"origin.{i}", origin.policy, origin.value)
+            self.origins.append(origin)
+        self.asked, self.raced = state["asked"], state["raced"]
         self.corners = {path: np.inf if left is None else left for path, left in state["corners"].items()}
         self.leaps = {target: Leap(**leap) for target, leap in state["leaps"].items()}

@@ -1,6 +1,7 @@
 """A policy on its way to the targets that share it, and what the way has cost."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -38,15 +39,37 @@ class Cost:
     diverged: int = 0
 
 
+def path_numbers(path: str) -> tuple[int, ...]:
+    """(1, 2) of "path 1.2": what orders paths, each before those into which it splits."""
+    return tuple(int(number) for number in path.removeprefix("path ").split("."))
+
+
+@dataclass
+class Ledger:
+    """What is known of a path, also when it has ended.
+
+    Attributes:
+        route: names of the robots at its ends.
+        cost: what it has cost.
+        records: lines of metrics.jsonl that tell of it.
+    """
+
+    route: list[str]
+    cost: Cost = field(default_factory=Cost)
+    records: int = 0
+
+
 @dataclass
 class Branch:
     """A policy on its way to the targets that share it.
 
     Attributes:
-        path: "path 1", "path 2", ...: a new one after every split, as the paper counts.
+        path: "path 1" sets out from the source, and those into which it splits are "path 1.1", "path 1.2", ... in the order of their
+            targets: a name says where a path comes from, and not when it was played.
         alpha: (D,) where it is.
         targets: names still to be reached.
         policy, value: the learner's state.
+        ledger: what the path has cost, and where it has been.
         next_alpha: (D,) robot being trained for, None between phases.
         window: share of the segment [alpha, next_alpha] from which training robots are drawn; it closes to 0.
         stride: length of the last step that worked; the adaptive step starts from twice of it.
@@ -76,6 +99,7 @@ class Branch:
     targets: list[str]
     policy: GaussianPolicy
     value: ValueFunction
+    ledger: Ledger
     next_alpha: np.ndarray | None = None
     window: float = 1.0
     stride: float = math.inf
@@ -99,6 +123,20 @@ class Branch:
     best_success: float = 0.0
     best: GaussianPolicy | None = None
 
+    @property
+    def alone(self) -> bool:
+        """Whether it leads to one target only."""
+        return len(self.targets) == 1
+
+    def split(self, parts: Iterable[frozenset[str]]) -> list["Branch"]:
+        """One branch per set of targets, in their order, each with its own copy of the policy."""
+        ordered = sorted(parts, key=lambda part: min(self.targets.index(name) for name in part))
+        return [
+            Branch(f"{self.path}.{number}", self.alpha, [name for name in self.targets if name in part], self.policy.copy(),
+                   self.value.copy(), Ledger([*self.ledger.route, "meta"]), noise=self.noise)
+            for number, part in enumerate(ordered, start=1)
+        ]  # fmt: skip
+
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
         """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
         self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
@@ -110,8 +148,18 @@ class Branch:
         self.turn, self.idle, self.best_drawn = turn, 0, 0.0
         self.features = self.deviation = self.centre = self.trials = None
 
-    def tensors(self, prefix: str) -> dict[str, np.ndarray]:
-        """Its arrays, for a checkpoint; keys begin with the prefix."""
+    def can_halve(self, shortest: float) -> bool:
+        """Whether a robot half as far as the next one is not nearer than ``shortest``, L2 [alpha]."""
+        return self.next_alpha is not None and bool(np.linalg.norm(self.next_alpha - self.alpha) >= 2 * shortest)
+
+    def return_to_best(self) -> None:
+        """Take the policy that was measured best in this phase, where one was kept."""
+        if self.best is not None:
+            self.policy = self.best.copy()
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Its arrays, for a checkpoint; keys begin with the path."""
+        prefix = self.path
         found = {f"{prefix}.alpha": self.alpha} | learner_tensors(prefix, self.policy, self.value)
         for name in _ARRAYS:
             if getattr(self, name) is not None:
@@ -135,19 +183,20 @@ _PLAIN = (
 
 
 def stored_branch(
-    tensors: dict[str, np.ndarray], prefix: str, state: dict[str, Any], policy: GaussianPolicy, value: ValueFunction
+    tensors: dict[str, np.ndarray], state: dict[str, Any], policy: GaussianPolicy, value: ValueFunction, ledger: Ledger
 ) -> Branch:
     """The branch that ``tensors`` and ``state`` of a Branch describe.
 
     Args:
-        tensors, prefix: as given out by `Branch.tensors`.
+        tensors: as given out by `Branch.tensors`.
         state: as given out by `Branch.state`.
         policy, value: networks of the same sizes, left as they are.
+        ledger: of its path.
 
     Raises:
         ToolkitError: they are of other sizes.
     """
-    policy, value = policy.copy(), value.copy()
+    prefix, policy, value = state["path"], policy.copy(), value.copy()
     load_learner(tensors, prefix, policy, value)
     best = None
     if f"{prefix}.best.parameters" in tensors:
@@ -155,7 +204,8 @@ def stored_branch(
         load_network(tensors, f"{prefix}.best", best)
     kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
     return Branch(
-        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, best=best, hopes=list(tensors.get(f"{prefix}.hopes", ())),
+        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, ledger=ledger, best=best,
+        hopes=list(tensors.get(f"{prefix}.hopes", ())),
         trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
         **{name: tensors.get(f"{prefix}.{name}") for name in _ARRAYS}, **{key: state[key] for key in _PLAIN if key in state},
     )  # fmt: skip

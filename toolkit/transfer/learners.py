@@ -16,6 +16,7 @@ from toolkit.learning.npg import Demonstrations, npg_step
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.seeds import SHOWING_SEEDS
 from toolkit.transfer.branch import TURNS, Branch
+from toolkit.transfer.events import SearchUpdated, WeightsUpdated
 from toolkit.transfer.sampling import LOOK, Player, Sampler
 from toolkit.transfer.settings import TransferConfig
 
@@ -41,7 +42,7 @@ class WeightLearner:
         Returns:
             the share of its episodes that succeeded.
         """
-        cost, sampler = self.sampler.costs[branch.path], self.sampler
+        cost, sampler = branch.ledger.cost, self.sampler
         size = self.config.npg.batch_size
         shares = 1.0 - branch.window * sampler.rng.uniform(size=size)
         alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
@@ -55,12 +56,12 @@ class WeightLearner:
         branch.window *= self.config.shrink
         branch.updates += 1
         success = float(np.mean([episode.success for episode in batch]))
-        sampler.say(
-            "update", branch, learner="npg", train_success=success, window=branch.window,
-            mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
-            kl=statistics["kl"], episodes_per_s=size / play_seconds, play_s=play_seconds,
-            learn_s=statistics["seconds"],
+        returns = [episode.discounted_return(self.config.npg.gamma) for episode in batch]
+        event = WeightsUpdated(
+            learner="npg", train_success=success, mean_return=float(np.mean(returns)), episodes_per_s=size / play_seconds,
+            play_s=play_seconds, window=branch.window, kl=statistics["kl"], learn_s=statistics["seconds"],
         )  # fmt: skip
+        sampler.say(event, branch)
         return success
 
     def calm(self, branch: Branch, factor: float | None = None) -> bool:
@@ -129,7 +130,7 @@ class SearchLearner:
         Returns:
             whether it learned; without a success the policy is left alone.
         """
-        settings, sampler, cost = self.config.search, self.sampler, self.sampler.costs[branch.path]
+        settings, sampler, cost = self.config.search, self.sampler, branch.ledger.cost
         before = sampler.spent["play_s"]
         if branch.turn == "response" and branch.features is None:
             met = np.concatenate([episode.observations for episode in sampler.watch(branch, player, alpha)])
@@ -166,7 +167,10 @@ class SearchLearner:
         if ended.mean() > branch.best_drawn:
             branch.best_drawn, branch.idle = float(ended.mean()), 0
         play_seconds = sampler.spent["play_s"] - before
-        sampler.say("update", branch, learner="search", turn=branch.turn, train_success=float(ended.mean()), learned=learned,
-                    width=width, mean_return=float(np.mean([e.discounted_return(self.config.npg.gamma) for e in batch])),
-                    episodes_per_s=len(batch) / play_seconds, play_s=play_seconds)  # fmt: skip
+        returns = [episode.discounted_return(self.config.npg.gamma) for episode in batch]
+        event = SearchUpdated(
+            learner="search", train_success=float(ended.mean()), mean_return=float(np.mean(returns)),
+            episodes_per_s=len(batch) / play_seconds, play_s=play_seconds, turn=branch.turn, learned=learned, width=width,
+        )  # fmt: skip
+        sampler.say(event, branch)
         return learned

@@ -29,6 +29,7 @@ from toolkit.runs.run import Run, read_audit
 from toolkit.simulation.laws import Drivable, native_plant
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 from toolkit.transfer.branch import Branch
+from toolkit.transfer.events import Arrived, Entry, Moved, Spent
 from toolkit.transfer.meta_evolve import Transfer
 from toolkit.transfer.settings import Method, TransferConfig
 
@@ -266,7 +267,7 @@ class Pipeline:
 
     def _stalled(self, branch: Branch) -> None:
         """Ask of a path whose budget is spent what changes on the robots where it stands."""
-        ahead = self.transfer.evolution_tree(branch).meta_alpha if branch.next_alpha is None else branch.next_alpha
+        ahead = self.transfer.way.evolution_tree(branch).meta_alpha if branch.next_alpha is None else branch.next_alpha
         if np.linalg.norm(ahead - branch.alpha) > 1e-9:
             audit = Audit(self.lab.merged, brief=True)
             try:
@@ -282,12 +283,13 @@ class Pipeline:
         self.story.aside(lambda: self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise,
                                                   branch.updates))  # fmt: skip
 
-    def _seen(self, record: dict[str, Any], branch: Branch) -> None:
+    def _seen(self, entry: Entry, branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
+        record = entry.to_json()
         self.watch(record)
-        if record["event"] == "budget" and branch.stage == "evolve" and branch.path not in self.stalls:
+        if isinstance(entry.event, Spent) and branch.stage == "evolve" and branch.path not in self.stalls:
             self._stalled(branch)
-        if record["event"] in ("moved", "arrived"):
+        if isinstance(entry.event, Moved | Arrived):
             start = self._stood.get(branch.path, branch.alpha)
             self.story.aside(lambda: self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha))
         self._stood[branch.path] = branch.alpha

@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.run import Run
 from toolkit.runs.seeds import CHECKING_SEEDS, TRAINING_SEEDS
-from toolkit.transfer.branch import Branch, Cost
+from toolkit.transfer.branch import Branch
+from toolkit.transfer.events import Checked, CheckedWithNoise, Entry, Event, Looked
 
 LOOK = 8
 """Episodes of the first part of a measurement, after which a look may end it; and of the first part of a search's first batch."""
@@ -26,35 +27,55 @@ class Player(Protocol):
     def play(self, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]: ...
 
 
+class Players:
+    """Who plays: the engine on F(alpha), and the unmodified robots.
+
+    Args:
+        engine: plays on F(alpha).
+        native: target name -> makes the player of the unmodified robot, when a path gets there.
+    """
+
+    def __init__(self, engine: Player, native: Mapping[str, Callable[[], Player]]) -> None:
+        self.engine, self._makers = engine, native
+        self._made: dict[str, Player] = {}
+
+    def hops(self, branch: Branch) -> bool:
+        """Whether there is an unmodified robot to which the branch hops at its end."""
+        return branch.alone and branch.targets[0] in self._makers
+
+    def native(self, branch: Branch) -> Player:
+        """Plays on the unmodified robot of the branch's only target."""
+        name = branch.targets[0]
+        if name not in self._made:
+            self._made[name] = self._makers[name]()
+        return self._made[name]
+
+
 class Sampler:
     """Plays a transfer's episodes.
 
     Args:
         run: folder for the metrics.
         seed: of everything random.
-        report: called with one flat record per event, for progress and pictures.
+        report: called with every entry of the metrics, for progress and pictures.
         witness: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
             explored by noise on its actions, and the policy of each episode.
 
     Attributes:
-        costs: path -> what it has cost.
         rng: the transfer's only source of random numbers.
         spent: wall time [s] of the transfer, and its parts that went into playing episodes and into learning.
-        records: lines of metrics.jsonl so far.
     """
 
     def __init__(
         self,
         run: Run,
         seed: int,
-        report: Callable[[dict[str, Any], Branch], None],
+        report: Callable[[Entry, Branch], None],
         witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
     ) -> None:
         self.run, self.report, self.witness = run, report, witness
         self.rng = np.random.default_rng(seed)
-        self.costs: dict[str, Cost] = {}
         self.spent = {"play_s": 0.0, "learn_s": 0.0, "wall_s": 0.0}
-        self.records = 0
         self._started = time.perf_counter()
         self.earlier_seconds = 0.0
 
@@ -73,7 +94,7 @@ class Sampler:
         """Training episodes, counted: of the branch's policy under its noise, or of ``policies``, one each, without."""
         actors = branch.policy.act if policies is None else [MeanActor(policy) for policy in policies]
         batch = self.play(player, actors, alphas, seeds)
-        cost = self.costs[branch.path]
+        cost = branch.ledger.cost
         cost.sim_epochs += len(batch)
         cost.diverged += sum(episode.diverged for episode in batch)
         self.witness(branch, batch, policies is None, policies or [branch.policy] * len(batch))
@@ -107,34 +128,33 @@ class Sampler:
             batch = self.play(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
             played += size
             successes += sum(episode.success for episode in batch)
-            self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+            branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
             self.witness(branch, batch, exploring, [branch.policy] * size)
             if (hasty or look) and successes < DOUBT * wanted * played:
                 break
-        self.costs[branch.path].check_episodes += played
+        branch.ledger.cost.check_episodes += played
         reach = float(np.linalg.norm(alpha - branch.alpha))
-        held = successes >= needed
-        event = "explore" if exploring else "look" if look else "check"
-        self.say(event, branch, success=successes / played, checked=played, reach=reach, held=held, noise=branch.noise)
+        event = CheckedWithNoise if exploring else Looked if look else Checked
+        reach = float(np.linalg.norm(alpha - branch.alpha))
+        self.say(event(success=successes / played, checked=played, reach=reach, held=successes >= needed, noise=branch.noise), branch)
         return successes / played
 
     def watch(self, branch: Branch, player: Player, alpha: np.ndarray) -> list[Episode]:
         """A few episodes of the policy on the robot ``alpha`` (D,) that are counted as checks: to see which states it meets."""
         batch = self.play(player, MeanActor(branch.policy), [alpha] * LOOK, [CHECKING_SEEDS + i for i in range(LOOK)])
-        self.costs[branch.path].check_episodes += len(batch)
-        self.costs[branch.path].diverged += sum(episode.diverged for episode in batch)
+        branch.ledger.cost.check_episodes += len(batch)
+        branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
         self.witness(branch, batch, False, [branch.policy] * len(batch))
         return batch
 
     # ---- telling -----------------------------------------------------------------------------------------------
 
-    def say(self, event: str, branch: Branch, **values: Any) -> None:
+    def say(self, event: Event, branch: Branch) -> None:
         """One line of metrics.jsonl, passed on to whoever watches."""
-        cost = self.costs[branch.path]
-        record = {"event": event, "path": branch.path, "stage": branch.stage, **values, **asdict(cost), "seconds": self.seconds}
-        self.records += 1
-        self.run.append_metrics(record)
-        self.report(record, branch)
+        entry = Entry(event, branch.path, branch.stage, replace(branch.ledger.cost), self.seconds)
+        branch.ledger.records += 1
+        self.run.append_metrics(entry.to_json())
+        self.report(entry, branch)
 
     @property
     def seconds(self) -> float:

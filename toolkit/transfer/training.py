@@ -1,0 +1,101 @@
+"""One phase of training: measure, learn, and say when the policy holds, when its budget is spent, when another robot should be tried.
+
+    Training.train_to   one update towards a success on one robot, by whichever learner has its turn
+    Training.keep_best  the search's turns: offsets, responses, the weights, and back to the best policy after each
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from toolkit.transfer.branch import Branch
+from toolkit.transfer.events import Kept, Spent
+from toolkit.transfer.learners import SearchLearner, WeightLearner
+from toolkit.transfer.sampling import Player, Sampler
+from toolkit.transfer.settings import TransferConfig
+
+NUMBED = 1 / 2
+"""Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
+
+Outcome = Literal["held", "spent", "training", "stalled"]
+"""Of an update: the policy has the success asked for; the path's budget is spent; neither yet; a nearer robot should be tried."""
+
+
+class Training:
+    """Trains branches.
+
+    Args:
+        config: see TransferConfig.
+        sampler: plays and counts.
+        weights: learns by NPG.
+        search: learns by the search; None: it is not used.
+    """
+
+    def __init__(self, config: TransferConfig, sampler: Sampler, weights: WeightLearner, search: SearchLearner | None) -> None:
+        self.config, self.sampler, self.weights, self.search = config, sampler, weights, search
+
+    def train_to(
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
+    ) -> Outcome:
+        """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and that which ``exploring`` needs.
+
+        Success is measured before the first update, after every one of the search and after every check_every-th of NPG.
+        """
+        searching = self.search is not None and branch.turn != "weights"
+        success = 0.0
+        if searching or branch.updates % self.config.check_every == 0:
+            hasty = self.search is not None and branch.next_alpha is not None
+            floor = None if self.search is None or hasty else self.config.threshold  # at a target the better one is to be found
+            success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty, floor=floor)
+            enough = self.config.noisy_threshold
+            if success >= wanted and (
+                not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough
+            ):
+                return "held"
+            if self.search is None:
+                _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
+            else:
+                outcome = self.keep_best(branch, success)
+                if outcome != "training":
+                    return outcome
+        if branch.ledger.cost.sim_epochs >= self.config.path_budget:
+            branch.return_to_best()
+            self.sampler.say(Spent(), branch)
+            return "spent"
+        # The search's last turn may have begun just now.
+        if self.search is None or branch.turn == "weights":
+            learned_from = self.weights.improve(branch, player, alpha)
+            if self.search is not None and learned_from < self.config.signal and not self.weights.calm(branch, NUMBED):
+                branch.idle = self.config.patience  # nothing to learn from, however little noise: the next measurement ends the turn
+            return "training"
+        first = branch.updates == 0
+        learned = self.search.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)
+        return "stalled" if first and not learned and self._nearer(branch) else "training"
+
+    def keep_best(self, branch: Branch, success: float) -> Outcome:
+        """Of the search: remember the policy if it is the phase's best; return to it and end a turn that brought no better one for long.
+
+        Offsets come first, then responses and the weights, if the best succeeds often enough to learn from. On the way another robot is
+        tried after that; a target where nothing brought more is left with the best, if that would do on the way.
+        """
+        better = branch.best is None or success > branch.best_success
+        branch.idle = 0 if better else branch.idle + 1
+        if better or success == branch.best_success:  # of equals the later one: it has learned from more
+            branch.best, branch.best_success = branch.policy.copy(), success
+        if branch.idle < self.config.patience:
+            return "training"
+        branch.return_to_best()
+        branch.turns += 1
+        turns = self.search.turns
+        on_the_way, over = branch.next_alpha is not None, branch.turns >= len(turns)
+        if on_the_way and (over or (self._nearer(branch) and branch.best_success < self.config.noisy_threshold)):
+            return "stalled"
+        branch.begin_turn(turns[branch.turns % len(turns)])
+        if over and not on_the_way and branch.best_success >= self.config.threshold:
+            self.sampler.say(Kept(success=branch.best_success), branch)
+            return "spent"
+        return "training"
+
+    def _nearer(self, branch: Branch) -> bool:
+        """Whether the search has a nearer robot to train for."""
+        return bool(branch.hopes) or branch.can_halve(self.config.xi)
