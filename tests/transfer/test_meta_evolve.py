@@ -11,6 +11,8 @@ import itertools
 import json
 import math
 import os
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -18,12 +20,14 @@ import pytest
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.evolution.bend import Bend
+from toolkit.inspection.drawn_tree import Plan
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored, SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
 from toolkit.runs.seeds import CHECKING_SEEDS, EVALUATION_SEEDS, TRAINING_SEEDS
+from toolkit.transfer.branch import path_generator
 from toolkit.transfer.events import Checked
 from toolkit.transfer.meta_evolve import Transfer
 from toolkit.transfer.settings import TransferConfig
@@ -800,6 +804,131 @@ def test_another_seed_is_another_run(tmp_path, unbroken):
     transfer = transfer_of(tmp_path / "run", other, Toy(), native=natives())
     transfer.meta_evolve()
     assert timeless(transfer) != timeless(unbroken[0])
+
+
+# -- in any order, and side by side ----------------------------------------------------------------------------
+
+THREE = [*TARGETS, Terminal("far", np.array([0.9, 0.1, 0.95]))]
+"""Two of them part once more behind the first meta robot."""
+LEARNERS = {"npg": config(native=True, check_every=2), "search": config(learner="search", native=True, path_budget=3_000)}
+
+
+class Plain(Toy):
+    """Plays for several paths at once, and so does not write down whom; each batch takes at least ``pause`` s.
+
+    Attributes:
+        batches: played.  most: batches that were played at once, natives' included.
+    """
+
+    def __init__(self, pause=0.0, engine=None, **settings):
+        super().__init__(**settings)
+        self.pause, self.engine = pause, engine or self
+        self.batches, self.most, self._now, self._lock = 0, 0, 0, threading.Lock()
+
+    def play(self, actor, alphas, seeds):
+        with self.engine._lock:
+            self.batches += 1
+            if self.kill_after is not None and self.batches > self.kill_after:
+                raise Killed
+            self.engine._now += 1
+            self.engine.most = max(self.engine.most, self.engine._now)
+        time.sleep(self.pause)
+        actors = actor if isinstance(actor, list) else [actor] * len(seeds)
+        try:
+            return [self.one(*job) for job in zip(actors, alphas, seeds, strict=True)]
+        finally:
+            with self.engine._lock:
+                self.engine._now -= 1
+
+
+def three(folder, settings, resume=False, kill_after=None, pause=0.0):
+    engine, shifts = Plain(pause, kill_after=kill_after), {"left": 0.2, "right": -0.2, "far": 0.1}
+    native = {name: Plain(pause, engine, shift=shift) for name, shift in shifts.items()}
+    return transfer_of(folder, settings, engine, resume, THREE, native)
+
+
+def by_path(transfer):
+    """Path -> its records, in their order."""
+    found = {}
+    for record in timeless(transfer):
+        found.setdefault(record["path"], []).append(record)
+    return found
+
+
+def assert_same_paths(transfer, other):
+    assert by_path(transfer) == by_path(other), "the metrics of a path differ"
+    for name, policy in other.arrived.items():
+        np.testing.assert_array_equal(transfer.arrived[name].parameters, policy.parameters, err_msg=name)
+        for mine, theirs in zip(transfer.arrived[name].layers()[1:], policy.layers()[1:], strict=True):
+            np.testing.assert_array_equal(mine, theirs, err_msg=name)
+    assert set(transfer.arrived) == set(other.arrived) == {target.name for target in THREE}
+    assert transfer.costs == other.costs and transfer.routes == other.routes and list(transfer.costs) == list(other.costs)
+
+
+@pytest.fixture(scope="module", params=LEARNERS)
+def in_turn(request, tmp_path_factory):
+    """(settings, a whole run of them, one path after the other)."""
+    transfer = three(tmp_path_factory.mktemp("turns") / "run", LEARNERS[request.param])
+    transfer.meta_evolve()
+    assert len(transfer.costs) >= 4 and transfer.players.engine.most == 1
+    return LEARNERS[request.param], transfer
+
+
+def test_paths_may_be_played_in_any_order(tmp_path, in_turn):
+    """Whose turn it is is drawn anew every time: each path comes to the same, bit for bit."""
+    settings, whole = in_turn
+    transfer, rng, turns = three(tmp_path / "run", settings), np.random.default_rng(3), []
+
+    def turn():
+        turns.append(transfer.pending[rng.integers(len(transfer.pending))])
+        return turns[-1]
+
+    transfer.frontier.turn = turn
+    transfer.meta_evolve()
+    order = [branch.path for branch in turns]
+    assert any(order.index(path) < len(order) - 1 - order[::-1].index(other) for path in order for other in order if path > other), (
+        "the paths were played one after the other all the same"
+    )
+    assert_same_paths(transfer, whole)
+
+
+def test_paths_may_be_played_side_by_side(tmp_path, in_turn):
+    settings, whole = in_turn
+    transfer = three(tmp_path / "run", settings, pause=0.005)
+    transfer.meta_evolve(at_once=3)
+    assert transfer.players.engine.most > 1, "no two paths were ever played at once"
+    assert_same_paths(transfer, whole)
+
+
+def test_paths_side_by_side_killed_and_resumed_are_the_same_run(tmp_path, in_turn):
+    """Killed while several are under way, again and again; the last sitting plays one after the other."""
+    settings, whole = in_turn
+    total = whole.players.engine.batches
+    for sitting, share in enumerate((0.5, 0.3, 0.1)):
+        transfer = three(tmp_path / "run", settings, resume=sitting > 0, kill_after=int(share * total), pause=0.001)
+        with pytest.raises(Killed):
+            transfer.meta_evolve(at_once=3)
+        transfer.run.end()
+    transfer = three(tmp_path / "run", settings, resume=True)
+    transfer.meta_evolve()
+    assert_same_paths(transfer, whole)
+
+
+def test_every_path_has_random_numbers_of_its_own():
+    """By its name and the seed alone; NumPy pads what it is seeded with by zeros, which must not make a path its rival's twin."""
+    names = ["path 1", "path 1.0", "path 1.1", "path 1.1.0", "path 1.2", "path 1.11", "path 1.1.1"]
+    drawn = {(seed, name): path_generator(seed, name).integers(2**62) for seed in (0, 1) for name in names}
+    assert len(set(drawn.values())) == len(drawn)
+    assert path_generator(1, "path 1.1").integers(2**62) == drawn[1, "path 1.1"]
+
+
+@pytest.mark.parametrize("kind", ["steiner", "independent"])
+def test_the_drawn_tree_names_the_paths_of_the_transfer(tmp_path, kind):
+    """Fixed steps do not look ahead, so that no target leaves the tree before its turn."""
+    transfer = transfer_of(tmp_path / "run", config(kind=kind, step="fixed", xi=0.5), easy_toy(), targets=THREE)
+    transfer.meta_evolve()
+    plan, told = Plan(evolution_tree(SOURCE, THREE, kind=kind).to_json()), dict.fromkeys(record["path"] for record in records(transfer))
+    assert plan.paths == [path for path in transfer.costs if path in told]
 
 
 # -- the search ----------------------------------------------------------------------------------------------

@@ -21,8 +21,8 @@ class Plan:
         nodes: name -> node.  edges: as given.
         places: name -> (x, y): x the length from the source, to scale, y a row.
         below: name -> targets at or after the node.
-        paths: "path 1", ... as a transfer along the plan counts them: one per edge, and one per target that others lie behind. Where
-            the ways part at the source itself there is no first one.
+        paths: "path 1", "path 1.1", ... as a transfer along the plan names them: one per edge, and one per target that others lie
+            behind. Where the ways part at the source itself nothing is told of the first one, which is left out.
         share: (k,) explained variance of the principal components, k at most 3.
     """
 
@@ -37,9 +37,8 @@ class Plan:
         self.roots = [name for name in self.nodes if name not in entered] or list(self.nodes)[:1]
         self.below: dict[str, frozenset[str]] = {}
         self.places = self._placed()
-        forks = len(self._children[self.roots[0]]) > 1
-        crossed = sum(self.nodes[name]["kind"] == "target" and bool(own) for name, own in self._children.items())
-        self.paths = [f"path {k + forks + 1}" for k in range(len(self.edges) + crossed)]
+        below = self._children[self.roots[0]]
+        self.paths = ["path 1", *self._parts("path 1", below[0])] if len(below) == 1 else self._parts("path 1", self.roots[0])
         alphas = np.array([node["alpha"] for node in self.nodes.values()])
         self._mean = alphas.mean(axis=0)
         _, spread, axes = np.linalg.svd(alphas - self._mean, full_matrices=False)
@@ -68,6 +67,20 @@ class Plan:
             place(root, 0.0)
         longest = max((x for x, _ in places.values()), default=1.0) or 1.0
         return {name: (WIDTH * x / longest, ROW * y) for name, (x, y) in places.items()}
+
+    def _parts(self, path: str, node: str, passed: frozenset[str] = frozenset()) -> list[str]:
+        """Names of the paths into which one that ends at the node parts, and of theirs; as ``Branch.split`` gives them."""
+        order = list(self.nodes)
+        inner = [child for child in self._children[node] if child not in passed]  # a tree of a damaged file may bite its tail
+        ends = [(self.below[child], child) for child in inner]
+        if inner and self.nodes[node]["kind"] == "target":
+            ends.append((frozenset([node]), None))
+        ends = sorted(ends, key=lambda end: min((order.index(name) for name in end[0]), default=len(order)))
+        found = []
+        for number, (_, child) in enumerate(ends, start=1):
+            own = f"{path}.{number}"
+            found += [own, *([] if child is None else self._parts(own, child, passed | {node}))]
+        return found
 
     def project(self, alphas: np.ndarray) -> np.ndarray:
         """(n, 3) principal components of alphas (n, D); missing ones are zero."""

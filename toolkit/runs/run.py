@@ -15,7 +15,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -193,6 +193,26 @@ class Run:
                 "resume from an earlier checkpoint, or start again under another --run"
             )
         self._write_metrics(records[:count])
+
+    def truncate_metrics_by(self, key: str, counts: Mapping[str, int]) -> None:
+        """Keep of the records with each value of ``key`` the first `counts` of that value, and none of others.
+
+        Raises:
+            ToolkitError: the file holds fewer records of one than that.
+        """
+        left, kept = dict(counts), []
+        for record in self.read_metrics():
+            value = str(record.get(key))
+            if left.get(value, 0) > 0:
+                left[value] -= 1
+                kept.append(record)
+        missing = [value for value, count in left.items() if count > 0]
+        if missing:
+            raise ToolkitError(
+                f"{self.path / 'metrics.jsonl'} holds {counts[missing[0]] - left[missing[0]]} records of {missing[0]!r} but the checkpoint "
+                f"was saved after {counts[missing[0]]}; resume from an earlier checkpoint, or start again under another --run"
+            )
+        self._write_metrics(kept)
 
     def save_checkpoint(self, name: str, tensors: dict[str, np.ndarray], state: dict[str, Any]) -> Path:
         """Save tensors and state as one file, whole or not at all, whenever the process is killed.

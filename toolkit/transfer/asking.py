@@ -96,7 +96,7 @@ class Asking:
         best = self.leaps.get(target, Leap())
         for index in range(self.asked.get(target, 0), len(self.origins)):
             origin = self.origins[index]
-            probe = Branch(branch.path, origin.alpha, [target], origin.policy, origin.value, branch.ledger, noise=origin.noise)
+            probe = Branch(branch.path, origin.alpha, [target], origin.policy, origin.value, branch.ledger, branch.rng, noise=origin.noise)
             way, length = goal - origin.alpha, self.distance(origin.alpha, goal)
             for share in self._shares:
                 left = (1.0 - share) * length

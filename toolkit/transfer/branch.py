@@ -16,6 +16,8 @@ from toolkit.learning.policy import (
     load_network,
     network_tensors,
 )
+from toolkit.runs.generators import generator_from_state, generator_state
+from toolkit.runs.seeds import TRAINING_SEEDS
 
 Turn = Literal["offset", "response", "weights"]
 TURNS: tuple[Turn, ...] = ("offset", "response", "weights")
@@ -44,6 +46,14 @@ def path_numbers(path: str) -> tuple[int, ...]:
     return tuple(int(number) for number in path.removeprefix("path ").split("."))
 
 
+def path_generator(seed: int, path: str) -> np.random.Generator:
+    """The random numbers of a path: they depend on the transfer's seed and on the path's name, not on what else has been played.
+
+    The numbers of its name are the spawn key, so that the streams of two paths are independent (NumPy's SeedSequence).
+    """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=path_numbers(path)))
+
+
 @dataclass
 class Ledger:
     """What is known of a path, also when it has ended.
@@ -52,14 +62,17 @@ class Ledger:
         route: names of the robots at its ends.
         cost: what it has cost.
         records: lines of metrics.jsonl that tell of it.
+        play_s, learn_s: wall time of playing its episodes and of learning from them [s].
     """
 
     route: list[str]
     cost: Cost = field(default_factory=Cost)
     records: int = 0
+    play_s: float = 0.0
+    learn_s: float = 0.0
 
 
-@dataclass
+@dataclass(eq=False)
 class Branch:
     """A policy on its way to the targets that share it.
 
@@ -70,6 +83,7 @@ class Branch:
         targets: names still to be reached.
         policy, value: the learner's state.
         ledger: what the path has cost, and where it has been.
+        rng: all its random numbers, those of the seeds of its training episodes included.
         next_alpha: (D,) robot being trained for, None between phases.
         window: share of the segment [alpha, next_alpha] from which training robots are drawn; it closes to 0.
         stride: length of the last step that worked; the adaptive step starts from twice of it.
@@ -100,6 +114,7 @@ class Branch:
     policy: GaussianPolicy
     value: ValueFunction
     ledger: Ledger
+    rng: np.random.Generator
     next_alpha: np.ndarray | None = None
     window: float = 1.0
     stride: float = math.inf
@@ -128,12 +143,12 @@ class Branch:
         """Whether it leads to one target only."""
         return len(self.targets) == 1
 
-    def split(self, parts: Iterable[frozenset[str]]) -> list["Branch"]:
-        """One branch per set of targets, in their order, each with its own copy of the policy."""
+    def split(self, parts: Iterable[frozenset[str]], seed: int) -> list["Branch"]:
+        """One branch per set of targets, in their order, each with its own copy of the policy, of a transfer with that ``seed``."""
         ordered = sorted(parts, key=lambda part: min(self.targets.index(name) for name in part))
         return [
-            Branch(f"{self.path}.{number}", self.alpha, [name for name in self.targets if name in part], self.policy.copy(),
-                   self.value.copy(), Ledger([*self.ledger.route, "meta"]), noise=self.noise)
+            Branch(path := f"{self.path}.{number}", self.alpha, [name for name in self.targets if name in part], self.policy.copy(),
+                   self.value.copy(), Ledger([*self.ledger.route, "meta"]), path_generator(seed, path), noise=self.noise)
             for number, part in enumerate(ordered, start=1)
         ]  # fmt: skip
 
@@ -147,6 +162,10 @@ class Branch:
         """Learn something else on the same robot."""
         self.turn, self.idle, self.best_drawn = turn, 0, 0.0
         self.features = self.deviation = self.centre = self.trials = None
+
+    def training_seeds(self, count: int) -> list[int]:
+        """Seeds of its next training episodes."""
+        return [int(seed) for seed in self.rng.integers(TRAINING_SEEDS, size=count)]
 
     def can_halve(self, shortest: float) -> bool:
         """Whether a robot half as far as the next one is not nearer than ``shortest``, L2 [alpha]."""
@@ -172,7 +191,8 @@ class Branch:
 
     def state(self) -> dict[str, Any]:
         """All else, as JSON values."""
-        return {key: getattr(self, key) for key in _PLAIN} | {"stride": None if math.isinf(self.stride) else self.stride}
+        stride = None if math.isinf(self.stride) else self.stride
+        return {key: getattr(self, key) for key in _PLAIN} | {"stride": stride, "rng": generator_state(self.rng)}
 
 
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
@@ -204,7 +224,7 @@ def stored_branch(
         load_network(tensors, f"{prefix}.best", best)
     kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
     return Branch(
-        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, ledger=ledger, best=best,
+        alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, ledger=ledger, rng=generator_from_state(state["rng"]), best=best,
         hopes=list(tensors.get(f"{prefix}.hopes", ())),
         trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
         **{name: tensors.get(f"{prefix}.{name}") for name in _ARRAYS}, **{key: state[key] for key in _PLAIN if key in state},

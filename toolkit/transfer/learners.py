@@ -6,6 +6,7 @@
 
 import math
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 
@@ -35,6 +36,7 @@ class WeightLearner:
     def __init__(self, config: TransferConfig, sampler: Sampler, engine: Player, source: Terminal, expert: GaussianPolicy) -> None:
         self.config, self.sampler, self._engine, self._source, self._expert = config, sampler, engine, source, expert
         self._shown: Demonstrations | None = None
+        self._showing = Lock()
 
     def improve(self, branch: Branch, player: Player, alpha: np.ndarray) -> float:
         """One update, on robots drawn from the part of the segment from branch.alpha to ``alpha`` (D,) that the window leaves open.
@@ -44,14 +46,14 @@ class WeightLearner:
         """
         cost, sampler = branch.ledger.cost, self.sampler
         size = self.config.npg.batch_size
-        shares = 1.0 - branch.window * sampler.rng.uniform(size=size)
+        shares = 1.0 - branch.window * branch.rng.uniform(size=size)
         alphas = [branch.alpha + share * (alpha - branch.alpha) for share in shares]
-        before = sampler.spent["play_s"]
-        batch = sampler.train(branch, player, alphas, sampler.training_seeds(size))
-        play_seconds = sampler.spent["play_s"] - before
+        before = branch.ledger.play_s
+        batch = sampler.train(branch, player, alphas, branch.training_seeds(size))
+        play_seconds = branch.ledger.play_s - before
         shown = self.demonstrations(cost.train_iterations) if self.config.kind == "direct" else None
-        statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, sampler.rng, shown)
-        sampler.spent["learn_s"] += statistics["seconds"]
+        statistics = npg_step(branch.policy, branch.value, batch, self.config.npg, branch.rng, shown)
+        branch.ledger.learn_s += statistics["seconds"]
         cost.train_iterations += 1
         branch.window *= self.config.shrink
         branch.updates += 1
@@ -86,15 +88,19 @@ class WeightLearner:
 
     def demonstrations(self, update: int) -> Demonstrations | None:
         """What the expert did on the source where it succeeded; a resumed run plays the same again."""
-        if self._shown is None and self.config.demonstrations:
-            seeds = [SHOWING_SEEDS + i for i in range(self.config.demonstrations)]
-            played = self._engine.play(MeanActor(self._expert), [self._source.alpha] * len(seeds), seeds)
-            good = [episode for episode in played if episode.success]
-            if not good:
-                raise ToolkitError(f"the expert fails {len(seeds)} times of {len(seeds)} on {self._source.name}; train it again")
-            observations = np.concatenate([episode.observations for episode in good])
-            self._shown = Demonstrations(observations, np.concatenate([episode.actions for episode in good]))
+        with self._showing:
+            if self._shown is None and self.config.demonstrations:
+                self._shown = self._show()
         return None if self._shown is None else replace(self._shown, update=update)
+
+    def _show(self) -> Demonstrations:
+        seeds = [SHOWING_SEEDS + i for i in range(self.config.demonstrations)]
+        played = self._engine.play(MeanActor(self._expert), [self._source.alpha] * len(seeds), seeds)
+        good = [episode for episode in played if episode.success]
+        if not good:
+            raise ToolkitError(f"the expert fails {len(seeds)} times of {len(seeds)} on {self._source.name}; train it again")
+        observations = np.concatenate([episode.observations for episode in good])
+        return Demonstrations(observations, np.concatenate([episode.actions for episode in good]))
 
 
 class SearchLearner:
@@ -131,7 +137,7 @@ class SearchLearner:
             whether it learned; without a success the policy is left alone.
         """
         settings, sampler, cost = self.config.search, self.sampler, branch.ledger.cost
-        before = sampler.spent["play_s"]
+        before = branch.ledger.play_s
         if branch.turn == "response" and branch.features is None:
             met = np.concatenate([episode.observations for episode in sampler.watch(branch, player, alpha)])
             branch.features = leading_features(branch.policy, met, settings.features)
@@ -142,8 +148,8 @@ class SearchLearner:
             branch.deviation = declared * begins
             branch.centre = np.zeros_like(declared)
         deviation, centre = branch.deviation, branch.centre
-        steps = mirrored(settings.batch_size // 2, len(declared), sampler.rng) * deviation
-        seeds = np.repeat(sampler.training_seeds(len(steps) // 2), 2).tolist()
+        steps = mirrored(settings.batch_size // 2, len(declared), branch.rng) * deviation
+        seeds = np.repeat(branch.training_seeds(len(steps) // 2), 2).tolist()
         policies = [directions.moved(branch.policy, step) for step in steps]
         batch = []
         for part in (slice(0, LOOK), slice(LOOK, None)) if branch.updates == 0 else (slice(None),):
@@ -166,7 +172,7 @@ class SearchLearner:
         branch.width = min(width, 1.0)
         if ended.mean() > branch.best_drawn:
             branch.best_drawn, branch.idle = float(ended.mean()), 0
-        play_seconds = sampler.spent["play_s"] - before
+        play_seconds = branch.ledger.play_s - before
         returns = [episode.discounted_return(self.config.npg.gamma) for episode in batch]
         event = SearchUpdated(
             learner="search", train_success=float(ended.mean()), mean_return=float(np.mean(returns)),

@@ -11,6 +11,8 @@ asks), `frontier` (how far it all has come: a killed run continues from its chec
 
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from threading import Event
 
 import numpy as np
 
@@ -21,7 +23,7 @@ from toolkit.learning.exploration import Explored
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
 from toolkit.transfer.asking import Asking
-from toolkit.transfer.branch import Branch, Cost, Ledger
+from toolkit.transfer.branch import Branch, Cost, Ledger, path_generator
 from toolkit.transfer.events import Arrived, Entry, Spent
 from toolkit.transfer.frontier import Frontier
 from toolkit.transfer.learners import SearchLearner, WeightLearner
@@ -67,7 +69,7 @@ class Transfer:
     ) -> None:
         self.config, self.run = config, run
         self.players = Players(engine, native)
-        self.sampler = Sampler(run, config.seed, report, witness)
+        self.sampler = Sampler(run, report, witness)
         self.way = Way(config, self.sampler, targets, bends or {})
         weights = WeightLearner(config, self.sampler, engine, source, policy.copy())
         search = None
@@ -79,7 +81,8 @@ class Transfer:
         if config.exploration is not None:
             policy = policy.copy()
             policy.set_log_std(np.full(len(policy.action_names), math.log(config.exploration)))
-        root = Branch("path 1", source.alpha, [target.name for target in targets], policy, value, Ledger([source.name]))
+        root = Branch("path 1", source.alpha, [target.name for target in targets], policy, value, Ledger([source.name]),
+                      path_generator(config.seed, "path 1"))  # fmt: skip
         self.race = None
         if config.kind == "asking":
             self.race = Race(config, Asking(config.metric, LOOKS, config.xi), self.sampler, self.way, self.look_ahead)
@@ -88,16 +91,41 @@ class Transfer:
 
     # ---- Algorithm 1 -------------------------------------------------------------------------------------------
 
-    def meta_evolve(self) -> dict[str, GaussianPolicy]:
-        """Transfer the policy to every target; returns target name -> policy."""
-        pending = self.frontier.pending
-        while pending:
-            if self.race is not None and self.race.may_change(pending[-1]):
-                self.race.choose(pending)
-            branch = pending[-1]
+    def meta_evolve(self, at_once: int = 1) -> dict[str, GaussianPolicy]:
+        """Transfer the policy to every target; returns target name -> policy.
+
+        Args:
+            at_once: how many paths are played side by side. The result is the same, bit for bit, as that of one after the other: a path
+                has random numbers, counts and training seeds of its own. A tree that asks ignores it; see `race`.
+        """
+        if at_once > 1 and self.race is None:
+            self._side_by_side(at_once)
+        while self.frontier.pending:
+            if self.race is not None and self.race.may_change(self.frontier.turn()):
+                self.race.choose(self.frontier.pending)
+            branch = self.frontier.turn()
             self.frontier.replace(branch, self.advance(branch))
-            self.frontier.save()
-        return self.frontier.arrived
+        return {name: self.arrived[name] for name in self.way.goals}
+
+    def _side_by_side(self, at_once: int) -> None:
+        stop = Event()
+
+        def follow(branch: Branch) -> list[Branch]:
+            """Until it splits or arrives; where another has failed it stops between two turns, from which a resumed run goes on."""
+            after = [branch]
+            while after == [branch] and not stop.is_set():
+                after = self.advance(branch)
+                self.frontier.replace(branch, after)
+            return after
+
+        with ThreadPoolExecutor(at_once) as pool:
+            running = {pool.submit(follow, branch) for branch in self.frontier.pending}
+            try:
+                while running:
+                    ended, running = wait(running, return_when=FIRST_COMPLETED)
+                    running |= {pool.submit(follow, branch) for future in ended for branch in future.result()}
+            finally:
+                stop.set()
 
     def advance(self, branch: Branch) -> list[Branch]:
         """One turn of the loop; returns the branches that go on from here: itself, those into which it has split, or none at a target."""
@@ -170,7 +198,7 @@ class Transfer:
     def finish(self, branch: Branch) -> list[Branch]:
         """The branch's policy is the answer for its target; nothing goes on from here."""
         name = branch.targets[0]
-        self.frontier.arrived[name] = branch.policy
+        self.frontier.arrive(name, branch.policy)
         branch.ledger.route.append(name)
         if self.race is not None:
             self.race.overtake(branch, self.frontier.pending)

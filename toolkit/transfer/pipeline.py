@@ -337,7 +337,7 @@ class Pipeline:
             "stalls": self.stalls,
             "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
             "wall_s": self.transfer.sampler.seconds,
-            "time": self.transfer.sampler.spent | {"outside_playing": outside_playing(self.transfer.sampler.spent)},
+            "time": self.transfer.frontier.spent | {"outside_playing": outside_playing(self.transfer.frontier.spent)},
             "seed": self.job.transfer.seed,
             "kind": self.job.transfer.kind,
             "metric": self.job.transfer.metric,
@@ -350,8 +350,9 @@ class Pipeline:
 
 
 def outside_playing(spent: dict[str, float]) -> float:
-    """Share of a transfer's wall time that played no episodes: learning, checkpoints, films and the tree."""
-    return 1.0 - spent["play_s"] / max(spent["wall_s"], 1e-9)
+    """Share of a transfer's wall time that played no episodes: learning, checkpoints, films and the tree. 0 where paths that were played
+    side by side played for longer, together, than the wall's clock ran."""
+    return max(0.0, 1.0 - spent["play_s"] / max(spent["wall_s"], 1e-9))
 
 
 def _rate(evaluation: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ and at what cost. What it decides is a function of that alone, so that the same 
 import numpy as np
 
 from toolkit.transfer.asking import Asking
-from toolkit.transfer.branch import Branch, Ledger
+from toolkit.transfer.branch import Branch, Ledger, path_generator
 from toolkit.transfer.events import Left, Overtaken, Split
 from toolkit.transfer.look_ahead import LookAhead
 from toolkit.transfer.sampling import Sampler
@@ -91,8 +91,9 @@ class Race:
     def _rival(self, branch: Branch) -> Branch:
         """Beside a path to a target that costs much another sets out, straight from the source."""
         source = self.asking.origins[0]
-        rival = Branch(f"{branch.path}.0", source.alpha, list(branch.targets), source.policy.copy(), source.value.copy(),
-                       Ledger(list(source.route)), noise=source.noise, strayed=True)  # fmt: skip
+        path = f"{branch.path}.0"
+        rival = Branch(path, source.alpha, list(branch.targets), source.policy.copy(), source.value.copy(), Ledger(list(source.route)),
+                       path_generator(self.config.seed, path), noise=source.noise, strayed=True)  # fmt: skip
         self.asking.raced.append(branch.targets[0])
         self.sampler.say(Split(parent="path 1", targets=branch.targets[0], rival=branch.path), rival)
         self.begin(rival)

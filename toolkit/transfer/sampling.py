@@ -1,9 +1,13 @@
-"""Episodes played, counted, shown and told: what the schedule and the learners of a transfer have in common."""
+"""Episodes played, counted, shown and told: what the schedule and the learners of a transfer have in common.
+
+Paths may be played side by side: each counts in its own ledger, and they are shown and told one after the other.
+"""
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from threading import Lock
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +15,7 @@ import numpy as np
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.run import Run
-from toolkit.runs.seeds import CHECKING_SEEDS, TRAINING_SEEDS
+from toolkit.runs.seeds import CHECKING_SEEDS
 from toolkit.transfer.branch import Branch
 from toolkit.transfer.events import Checked, CheckedWithNoise, Entry, Event, Looked
 
@@ -56,36 +60,38 @@ class Sampler:
 
     Args:
         run: folder for the metrics.
-        seed: of everything random.
         report: called with every entry of the metrics, for progress and pictures.
         witness: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
             explored by noise on its actions, and the policy of each episode.
 
     Attributes:
-        rng: the transfer's only source of random numbers.
-        spent: wall time [s] of the transfer, and its parts that went into playing episodes and into learning.
+        earlier_seconds: wall time of the sittings before this one [s].
     """
 
     def __init__(
         self,
         run: Run,
-        seed: int,
         report: Callable[[Entry, Branch], None],
         witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
     ) -> None:
         self.run, self.report, self.witness = run, report, witness
-        self.rng = np.random.default_rng(seed)
-        self.spent = {"play_s": 0.0, "learn_s": 0.0, "wall_s": 0.0}
+        self._telling = Lock()
         self._started = time.perf_counter()
         self.earlier_seconds = 0.0
 
     # ---- playing -----------------------------------------------------------------------------------------------
 
-    def play(self, player: Player, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]:
-        """``player.play``, timed."""
+    def play(
+        self, branch: Branch, player: Player, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int], noise: bool,
+        policies: list[GaussianPolicy],
+    ) -> list[Episode]:
+        """``player.play``, timed; diverged episodes are counted, and all shown to the witness with what it wants to know."""
         began = time.perf_counter()
         batch = player.play(actor, alphas, seeds)
-        self.spent["play_s"] += time.perf_counter() - began
+        branch.ledger.play_s += time.perf_counter() - began
+        branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
+        with self._telling:
+            self.witness(branch, batch, noise, policies)
         return batch
 
     def train(
@@ -93,16 +99,9 @@ class Sampler:
     ) -> list[Episode]:
         """Training episodes, counted: of the branch's policy under its noise, or of ``policies``, one each, without."""
         actors = branch.policy.act if policies is None else [MeanActor(policy) for policy in policies]
-        batch = self.play(player, actors, alphas, seeds)
-        cost = branch.ledger.cost
-        cost.sim_epochs += len(batch)
-        cost.diverged += sum(episode.diverged for episode in batch)
-        self.witness(branch, batch, policies is None, policies or [branch.policy] * len(batch))
+        batch = self.play(branch, player, actors, alphas, seeds, policies is None, policies or [branch.policy] * len(seeds))
+        branch.ledger.cost.sim_epochs += len(batch)
         return batch
-
-    def training_seeds(self, count: int) -> list[int]:
-        """Seeds of training episodes."""
-        return [int(seed) for seed in self.rng.integers(TRAINING_SEEDS, size=count)]
 
     # ---- measuring ---------------------------------------------------------------------------------------------
 
@@ -125,15 +124,13 @@ class Sampler:
         actor = branch.policy.act if exploring else MeanActor(branch.policy)
         while played < episodes and successes < needed and successes + episodes - played >= least:
             size = min(LOOK, episodes - played)
-            batch = self.play(player, actor, [alpha] * size, [CHECKING_SEEDS + played + i for i in range(size)])
+            seeds = [CHECKING_SEEDS + played + i for i in range(size)]
+            batch = self.play(branch, player, actor, [alpha] * size, seeds, exploring, [branch.policy] * size)
             played += size
             successes += sum(episode.success for episode in batch)
-            branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
-            self.witness(branch, batch, exploring, [branch.policy] * size)
             if (hasty or look) and successes < DOUBT * wanted * played:
                 break
         branch.ledger.cost.check_episodes += played
-        reach = float(np.linalg.norm(alpha - branch.alpha))
         event = CheckedWithNoise if exploring else Looked if look else Checked
         reach = float(np.linalg.norm(alpha - branch.alpha))
         self.say(event(success=successes / played, checked=played, reach=reach, held=successes >= needed, noise=branch.noise), branch)
@@ -141,20 +138,20 @@ class Sampler:
 
     def watch(self, branch: Branch, player: Player, alpha: np.ndarray) -> list[Episode]:
         """A few episodes of the policy on the robot ``alpha`` (D,) that are counted as checks: to see which states it meets."""
-        batch = self.play(player, MeanActor(branch.policy), [alpha] * LOOK, [CHECKING_SEEDS + i for i in range(LOOK)])
+        seeds = [CHECKING_SEEDS + i for i in range(LOOK)]
+        batch = self.play(branch, player, MeanActor(branch.policy), [alpha] * LOOK, seeds, False, [branch.policy] * LOOK)
         branch.ledger.cost.check_episodes += len(batch)
-        branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
-        self.witness(branch, batch, False, [branch.policy] * len(batch))
         return batch
 
     # ---- telling -----------------------------------------------------------------------------------------------
 
     def say(self, event: Event, branch: Branch) -> None:
         """One line of metrics.jsonl, passed on to whoever watches."""
-        entry = Entry(event, branch.path, branch.stage, replace(branch.ledger.cost), self.seconds)
-        branch.ledger.records += 1
-        self.run.append_metrics(entry.to_json())
-        self.report(entry, branch)
+        with self._telling:
+            entry = Entry(event, branch.path, branch.stage, replace(branch.ledger.cost), self.seconds)
+            branch.ledger.records += 1
+            self.run.append_metrics(entry.to_json())
+            self.report(entry, branch)
 
     @property
     def seconds(self) -> float:

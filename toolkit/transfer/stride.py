@@ -96,8 +96,8 @@ class Stride:
         straight = (meta - branch.alpha) / np.linalg.norm(meta - branch.alpha)
         if self.config.path != "optimised":
             return straight
-        robots = sample_robots(branch.alpha, self.config.jacobian_episodes, self.config.xi, self.sampler.rng)
-        seeds = np.repeat(self.sampler.training_seeds(-(-len(robots) // 2)), 2)[: len(robots)].tolist()
+        robots = sample_robots(branch.alpha, self.config.jacobian_episodes, self.config.xi, branch.rng)
+        seeds = np.repeat(branch.training_seeds(-(-len(robots) // 2)), 2)[: len(robots)].tolist()
         policies = [branch.policy] * len(robots) if self._searching else None
         batch = self.sampler.train(branch, self.engine, list(robots), seeds, policies)
         returns = np.array([episode.discounted_return(self.config.npg.gamma) for episode in batch])

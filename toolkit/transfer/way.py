@@ -60,7 +60,7 @@ class Way:
 
     def part(self, branch: Branch, parts: Sequence[frozenset[str]]) -> list[Branch]:
         """The branches into which one parts, one per set of targets."""
-        children = branch.split(parts)
+        children = branch.split(parts, self.config.seed)
         for child in children:
             self._sampler.say(Split(parent=branch.path, targets=" ".join(child.targets)), child)
         return children

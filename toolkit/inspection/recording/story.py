@@ -106,7 +106,9 @@ class Story:
         self._casting = Casting(merged, wardrobe)
         self.plan = Plan(tree)
         self.evolution = EvolutionPage(stream, self.plan, merged.space)
-        self.learning = LearningPage(stream, dict.fromkeys([*self.plan.paths, *(record["path"] for record in records)]))
+        told = dict.fromkeys(record["path"] for record in records)
+        older = not all(path.startswith("path 1") for path in told)  # paths were counted in the order of play: the plan has other names
+        self.learning = LearningPage(stream, told if older else dict.fromkeys([*self.plan.paths, *told]))
         self.rollouts = RolloutsPage(stream, merged.task.goal_tolerance)
         self.scene = Scene(stream, merged, wardrobe)
         self.summary("The run goes on; this page fills when it ends.")
