@@ -180,7 +180,7 @@ def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypat
     assert numbers(again) == numbers(report)
     policy = f"{TARGET}.policy.safetensors"
     assert (killed / policy).read_bytes() == (whole / policy).read_bytes()
-    assert not np.array_equal(policy_of(whole).parameters, bent_expert("adroit", job.task.name)[0].parameters)
+    assert not np.array_equal(policy_of(whole).parameters, bent_expert("adroit", job.task)[0].parameters)
     assert report["sim_epochs"] == {"path 1": 12} and report["train_iterations"] == {"path 1": 2}
     kept = [{name: [phase.take(role) and (phase.take(role).seed, phase.take(role).update) for role in ROLES]
              for name, phase in load_phases(folder).items()} for folder in (whole, killed)]  # fmt: skip
