@@ -178,7 +178,7 @@ def transfer(
     start, what = _robot(source), _task(task)
     goals = tuple(_robot(name) for name in (PRESETS[preset].get("targets", TARGETS) if targets is None else targets))
     job = Job(start, goals, what, config, PRESETS[preset]["evaluation_episodes"] if episodes is None else episodes,
-              expert or taught_by_hands(start.name, what.name))  # fmt: skip
+              expert or taught_by_hands(start.name, what.name))
     return Pipeline(job, Path(run), resume, watch, record_run if record else None).play()
 
 

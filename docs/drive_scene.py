@@ -63,7 +63,7 @@ for now, action in enumerate(golden["episode_actions"][:-1]):
         mujoco.mj_step2(model, data)
     mujoco.mj_kinematics(model, data)  # golden.npz has angles and poses of one instant
     apart.append((np.abs(data.qpos[q] - golden["episode_joints"][now + 1]).max(),
-                  np.abs(data.xpos[item] - golden["episode_object_position"][now + 1]).max()))  # fmt: skip
+                  np.abs(data.xpos[item] - golden["episode_object_position"][now + 1]).max()))
 angle, way = np.max(apart, axis=0)
 print(json.dumps({"steps": len(apart), "arm_rad": float(angle), "object_m": float(way)}))  # noqa: T201
 sys.exit(int(max(angle, way) > 1e-4))  # rad and m; contacts enlarge what hulls and processors round differently

@@ -26,7 +26,7 @@ class Scene(ManipulationEnv):
         arena.set_origin([0, 0, 0])
         kind = {"box": BoxObject, "cylinder": CylinderObject}[item["shape"]]
         self.item = kind("object", size=item["half_size_m"], density=simulation["object_density_kg_m3"],
-                         friction=made["friction"], solref=made["solref"], solimp=made["solimp"], joints=[{"type": "free"}])  # fmt: skip
+                         friction=made["friction"], solref=made["solref"], solimp=made["solimp"], joints=[{"type": "free"}])
         self.model = ManipulationTask(arena, [arm.robot_model], [self.item])
 
     def _reset_internal(self) -> None:
@@ -44,7 +44,7 @@ class Scene(ManipulationEnv):
 
 
 env = Scene(robots=robot["arm"], gripper_types=robot["gripper"], initialization_noise=None, control_freq=manifest["policy_hz"],
-            horizon=10**6, has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False)  # fmt: skip
+            horizon=10**6, has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False)
 env.reset()
 data, apart = env.sim.data._data, []
 arm_joints, item = env.robots[0]._ref_joint_pos_indexes, env.sim.model.body_name2id(env.item.root_body)

@@ -113,7 +113,7 @@ def _navigation(here: Path, pages: dict[Path, str], titles: dict[Path, str]) -> 
 def _page(title: str, navigation: str, text: str) -> str:
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{html.escape(title)}</title>'
     return (f'<!DOCTYPE html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n'
-            f"<body>\n<nav>\n{navigation}\n</nav>\n<main>\n{text}</main>\n</body></html>\n")  # fmt: skip
+            f"<body>\n<nav>\n{navigation}\n</nav>\n<main>\n{text}</main>\n</body></html>\n")
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ def _body_element(body: "mujoco.MjsBody", welded: bool) -> ET.Element:
             element, "joint", name=joint.name, type="hinge", pos=_numbers(joint.pos), axis=_numbers(joint.axis),
             limited="true", range=_numbers(joint.range), damping=_numbers(joint.damping[0]),
             armature=_numbers(joint.armature), margin=_numbers(joint.margin),
-        )  # fmt: skip
+        )
     for index, geom in enumerate(body.geoms):
         if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(geom.size) > 0.002:  # drops two 1 mm marker boxes
             element.append(_geom_element(geom, geom.name or f"{body.name}_geom{index}"))
@@ -103,7 +103,7 @@ def _mount_element(wrist: "mujoco.MjsBody") -> ET.Element:
     """Bracket with the wrist on it, the force sensor's site and robosuite's end-effector frame."""
     mount = ET.Element("body", name="adroit_mount", pos="0 0 0")
     ET.SubElement(mount, "inertial", pos=_numbers(GRASP_FRAME_IN_FLANGE / 2), mass=_numbers(BRACKET_MASS),
-                  diaginertia=_numbers(BRACKET_MASS * np.array([1, 1, 0.25]) * 0.1**2 / 12))  # fmt: skip
+                  diaginertia=_numbers(BRACKET_MASS * np.array([1, 1, 0.25]) * 0.1**2 / 12))
     ET.SubElement(mount, "site", name="ft_frame", pos="0 0 0", size="0.01", rgba="1 0 0 0", group="1")
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, WRIST_IN_FLANGE_QUAT)
@@ -116,7 +116,7 @@ def _mount_element(wrist: "mujoco.MjsBody") -> ET.Element:
     quarter_turn = np.array([np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
     eef = ET.SubElement(
         mount, "body", name="eef", pos=_numbers(GRASP_FRAME_IN_FLANGE), quat=_numbers(quarter_turn)
-    )  # fmt: skip
+    )
     for site, size, pos in (
         ("grip_site", "0.01", "0 0 0"),
         ("ee_x", "0.005", "0.1 0 0"),
@@ -142,7 +142,7 @@ def adroit_mjcf() -> str:
     for role in COMMANDED_ROLES:
         motor = source.actuator(f"A_{role}")
         ET.SubElement(actuators, "position", name=f"A_{role}", joint=role, kp=_numbers(motor.gainprm[0]),
-                      ctrllimited="true", ctrlrange=_numbers(motor.ctrlrange))  # fmt: skip
+                      ctrllimited="true", ctrlrange=_numbers(motor.ctrlrange))
     worldbody = ET.SubElement(root, "worldbody")
     # The palm hangs on the wrist by WRJ0, which is welded as well.
     wrist = source.body("wrist")
@@ -215,4 +215,4 @@ ADROIT = Gripper(
     rate=None,
     preshape=-1.0,
     source="gymnasium-robotics 1.4 adroit_model.xml; open and closed postures by random search on the pick task",
-)  # fmt: skip
+)

@@ -18,7 +18,7 @@ ROLE_PARENT: dict[str, str | None] = {
     "LFJ4": None, "LFJ3": "LFJ4", "LFJ2": "LFJ3", "LFJ1": "LFJ2", "LFJ0": "LFJ1",
     "THS": None, "THJ4": "THS", "THJ3": "THJ4", "THJ2": "THJ3", "THJ1": "THJ2", "THJ0": "THJ1",
     "FFK": None, "THK": None,
-}  # fmt: skip
+}
 ROLES: tuple[str, ...] = tuple(ROLE_PARENT)
 """Roles, parents first."""
 
@@ -36,7 +36,7 @@ def slides(role: str) -> bool:
 
 ROLE_SENSE: dict[str, tuple[float, float, float]] = {
     "FFJ1": (1, 0, 0), "MFJ1": (1, 0, 0), "RFJ1": (1, 0, 0), "THJ1": (1, 0, 0), "FFK": (1, 0, 0), "THK": (-1, 0, 0),
-}  # fmt: skip
+}
 """Positive sense of roles that no actuator closes: the world direction, at the start posture, on whose side the joint's
 axis lies when its angle counts as positive. Driven roles count positive in the closing sense."""
 

@@ -15,4 +15,4 @@ JACO3 = Gripper(
     preshape=-0.45,
     source="robosuite 1.5.1: jaco_three_finger_gripper.xml (ctrlrange; 0 is closed), JacoThreeFingerGripper.speed",
     notes="robosuite closes it by 0.01 a step; the preshape leaves the object a finger's breadth on either side",
-)  # fmt: skip
+)

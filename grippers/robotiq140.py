@@ -14,4 +14,4 @@ ROBOTIQ140 = Gripper(
     preshape=-1.0,
     four_bar=True,
     source="robosuite 1.5.1: robotiq_gripper_140.xml (ctrlrange), Robotiq140Gripper.speed",
-)  # fmt: skip
+)

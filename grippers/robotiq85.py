@@ -14,4 +14,4 @@ ROBOTIQ85 = Gripper(
     preshape=-1.0,
     four_bar=True,
     source="robosuite 1.5.1: robotiq_gripper_85.xml (ctrlrange), Robotiq85Gripper.speed",
-)  # fmt: skip
+)

@@ -67,13 +67,13 @@ ACTION: dict[str, int] = {f"{joint}_{leg}": 1 for leg in (4, 1, 2, 3) for joint 
 _SCALES = {"height": 0.1, "orientation": 0.2, "velocity": 1.0, "angular_velocity": 1.0, "place": 0.2}
 OBSERVATION_SCALE = by_number(
     {name: _SCALES.get(name, 5.0 if name.endswith("speed") else 0.3) for name in OBSERVATION}, OBSERVATION
-)  # fmt: skip
+)
 """Smallest scale (n_obs,) by which a policy normalises each number."""
 
 EXPLORED: dict[str, float] = {
     "height": 0.03, "velocity": 0.3, "place": 0.1,
     **{f"{joint}_{leg}": 0.05 for leg in range(1, 5) for joint in ("hip", "ankle")},
-}  # fmt: skip
+}
 """Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
 thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns."""
 RESPONDING: dict[str, float] = dict.fromkeys(ACTION, 0.05)
@@ -132,7 +132,7 @@ class AntMaze(ModelTask):
                 name=name, type=mujoco.mjtGeom.mjGEOM_BOX, conaffinity=1, rgba=[0.55, 0.6, 0.65, 1.0],
                 pos=[(west + east) / 2, (south + north) / 2, WALL_HEIGHT / 2],
                 size=[(east - west) / 2, (north - south) / 2, WALL_HEIGHT / 2],
-            )  # fmt: skip
+            )
         robot.change(spec)
         return spec
 
@@ -174,7 +174,7 @@ def distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     again = first + _QUARTER + second + _BEND * np.arctan2(-(y + _BEND), x - _BEND)
     return np.where(
         x < _BEND, np.where(y > 0, eastwards, westwards), np.where(y > _BEND, turn, np.where(y >= -_BEND, southwards, again))
-    )  # fmt: skip
+    )
 
 
 def centre_line(along: float) -> np.ndarray:

@@ -64,10 +64,10 @@ class Pick(ManipulationEnv):
         self.item = kind(
             name="object", size=list(item.half_size), density=item.mass / item.volume, rgba=[0.9, 0.3, 0.2, 1],
             friction=list(item.friction), solref=list(OBJECT_SOLREF), joints=[{"type": "free"}],
-        )  # fmt: skip
+        )
         self.model = ManipulationTask(
             mujoco_arena=arena, mujoco_robots=[robot.robot_model], mujoco_objects=self.item
-        )  # fmt: skip
+        )
 
     def _setup_references(self) -> None:
         super()._setup_references()

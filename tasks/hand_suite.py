@@ -64,7 +64,7 @@ SPREAD = {
         0.34, 0.1, 0.072, 0.27, 0.43, 0.47, 0.48, 0.26, 0.047, 0.12, 0.22, 0.044, 0.089, 0.088, 0.12, 0.14, 0.11, 0.13, 0.16,
         0.12,
     ),
-}  # fmt: skip
+}
 """Standard deviation of each number of the observation over the human demonstrations of Rajeswaran et al. (hand_dapg), in its unit: the
 smallest scale by which a policy normalises it."""
 SHIFTED = 0.15
@@ -304,6 +304,6 @@ CARDS: dict[str, HandTask] = {
             "AdroitHandRelocateEnv", RelocateScene,
         ),
     )
-}  # fmt: skip
+}
 """Units: joints, latch, hinge and angles [rad] (slides [m]), positions [m] in the world's axes, velocities [m/s, rad/s] cut to +-1, force
 [N] cut to +-1, ajar -1 or +1."""

@@ -17,7 +17,7 @@ import numpy as np
 BROKEN = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError, EOFError, ValueError, NotImplementedError,
     RuntimeError, OSError, KeyError, IndexError, MemoryError, OverflowError, SyntaxError, TypeError,
-)  # fmt: skip
+)
 """Whatever zipfile and NumPy raise on a file that is damaged, encrypted, packed in an unknown way, or lies about its sizes."""
 LARGEST_HEADER = 1 << 14
 """[bytes] of an array's header; NumPy parses it as Python, whose parser is not to be fed more."""
@@ -64,7 +64,7 @@ class Arrays:
     def read(
         self, key: str, shape: Sequence[int | None], types: Sequence[str], largest: int = 1 << 28, content: bool = True,
         finite: bool = True,
-    ) -> np.ndarray | None:  # fmt: skip
+    ) -> np.ndarray | None:
         """An array of this shape and one of these types, numbers as float64.
 
         Args:

@@ -133,7 +133,7 @@ _GOAL_FROM_OBJECT = slice(OBSERVATION_SIZE - OBSERVATION["goal_from_object"], OB
 OBSERVATION_SCALE = np.concatenate(
     [np.full(len(COMMANDED_ROLES), 0.3), [1.0], np.full(3, 0.05), np.full(3, 0.1), np.full(3, 0.05), np.full(3, 0.1),
      np.full(3, 0.05)]
-)  # fmt: skip
+)
 """Smallest scale (n_obs,) by which a policy normalises each entry, so that an entry that hardly moves on the source
 (or a joint that freezes) is never blown up."""
 

@@ -197,7 +197,7 @@ class FakeKortex:
         messages = SimpleNamespace(
             JointSpeeds=lambda: SimpleNamespace(joint_speeds=Repeated()), GRIPPER_POSITION=3, SINGLE_LEVEL_SERVOING=2,
             GripperCommand=lambda: SimpleNamespace(gripper=SimpleNamespace(finger=Repeated())), ServoingModeInformation=SimpleNamespace,
-        )  # fmt: skip
+        )
         for name, found in {
             "kortex_api": {}, "kortex_api.autogen": {}, "kortex_api.autogen.client_stubs": {}, "kortex_api.Exceptions": {},
             "kortex_api.autogen.client_stubs.BaseClientRpc": {"BaseClient": lambda router: fake},
@@ -207,7 +207,7 @@ class FakeKortex:
             "kortex_api.Exceptions.KServerException": {"KServerException": self.ServerError},
             "kortex_api.RouterClient": {"RouterClient": self.RouterClient, "RouterClientSendOptions": SimpleNamespace},
             "kortex_api.SessionManager": {"SessionManager": Sessions}, "kortex_api.TCPTransport": {"TCPTransport": Transport},
-        }.items():  # fmt: skip
+        }.items():
             module = types.ModuleType(name)
             module.__dict__.update(found)
             monkeypatch.setitem(sys.modules, name, module)
@@ -225,10 +225,10 @@ class FakeKortex:
         self.moved()
         self.noise += 0.001
         rows = [SimpleNamespace(position=float(a), velocity=float(v), torque=2.0 + self.noise, fault_bank_a=bank, fault_bank_b=0)
-                for a, v, bank in zip(np.degrees(self.angles) % 360, np.degrees(self.rate), self.faults, strict=True)]  # fmt: skip
+                for a, v, bank in zip(np.degrees(self.angles) % 360, np.degrees(self.rate), self.faults, strict=True)]
         motors = [SimpleNamespace(position=100.0 * (1 - self.opening))] * self.motors
         return SimpleNamespace(base=SimpleNamespace(active_state=self.state), actuators=rows,
-                               interconnect=SimpleNamespace(gripper_feedback=SimpleNamespace(motor=motors)))  # fmt: skip
+                               interconnect=SimpleNamespace(gripper_feedback=SimpleNamespace(motor=motors)))
 
     def SetServoingMode(self, mode):
         self.check("SetServoingMode")
@@ -284,7 +284,7 @@ class FakeRos:
                 fake.heard["/joint_states"](SimpleNamespace(
                     header=SimpleNamespace(stamp=stamp), name=names, position=fake.angles[::-1].tolist(), velocity=[0.0] * 7,
                     effort=[1.0] * 7,
-                ))  # fmt: skip
+                ))
             time.sleep(0.01)
 
         def init():
@@ -295,7 +295,7 @@ class FakeRos:
             "builtin_interfaces": {}, "builtin_interfaces.msg": {"Duration": lambda sec, nanosec: sec + 1e-9 * nanosec},
             "sensor_msgs": {}, "sensor_msgs.msg": {"JointState": object}, "trajectory_msgs": {},
             "trajectory_msgs.msg": {"JointTrajectory": SimpleNamespace, "JointTrajectoryPoint": SimpleNamespace},
-        }  # fmt: skip
+        }
         for name, found in modules.items():
             module = types.ModuleType(name)
             module.__dict__.update(found)

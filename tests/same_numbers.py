@@ -72,7 +72,7 @@ def main():
         model, data = lab.merged.new()
         lab.merged.become(rng.uniform(size=space.size), model, data)
         say(f"F {k}", *(np.array(getattr(model, name)) for name in ("body_pos", "body_quat", "body_mass", "body_inertia", "jnt_pos",
-            "jnt_axis", "jnt_range", "geom_pos", "geom_size", "dof_armature", "dof_damping", "actuator_gainprm", "qpos0")))  # fmt: skip
+            "jnt_axis", "jnt_range", "geom_pos", "geom_size", "dof_armature", "dof_damping", "actuator_gainprm", "qpos0")))
     policy, _ = load_expert("adroit", task)
     engine = RolloutEngine(lab.merged, threads=2)
     say("episodes on F", *episode_parts(engine.play(policy.act, [space.betas[0]] * 3, [1, 2, 3])))

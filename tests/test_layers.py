@@ -65,7 +65,7 @@ def test_the_toolkit_knows_no_robot_by_name(path):
     """Concrete robots and grippers come in as arguments; only the command line looks names up."""
     allowed = {"robots.robot", "robots.model_robot", "grippers.gripper"}
     found = [f"{module}{'.' + name if name else ''} (line {line})" for module, name, line in imports(path)
-             if module.split(".")[0] in ("robots", "grippers") and module not in allowed]  # fmt: skip
+             if module.split(".")[0] in ("robots", "grippers") and module not in allowed]
     assert not found, f"{label(path)} imports {found}"
 
 
@@ -199,7 +199,7 @@ def test_a_robots_computer_needs_few_rooms():
     """deploy, and bundle beneath it, import the light rooms alone."""
     light = ("toolkit.deploy", "toolkit.bundle", "toolkit.io", "toolkit.runs.seeds", "toolkit.errors")
     wrong = [f"{a} imports {b} (line {line})" for a, b, line in toolkit_edges() if a.startswith(("toolkit.deploy", "toolkit.bundle"))
-             and not b.startswith(light) and b != "toolkit.learning.policy"]  # fmt: skip
+             and not b.startswith(light) and b != "toolkit.learning.policy"]
     assert not wrong, f"{wrong}; the writer of ONNX graphs alone takes a policy, when it is called"
 
 

@@ -54,7 +54,7 @@ def test_cards_and_names_are_alike(task):
 @pytest.mark.parametrize("arguments, said", [
     ({"policy": "kinova3", "robot": "jaco"}, "written in bundle kinova3"), ({"policy": "nowhere"}, "nowhere does not exist"),
     ({"policy": "kinova3", "episodes": 0}, "at least one"),
-])  # fmt: skip
+])
 def test_what_cannot_be_evaluated_is_refused(arguments, said):
     with pytest.raises(meta_evolve.ToolkitError, match=said):
         meta_evolve.evaluate(**arguments)

@@ -214,7 +214,7 @@ def _rendering() -> Check:
 
 
 VULKAN_MEND = ("apt-get install mesa-vulkan-drivers libvulkan1 libegl1 (Debian, Ubuntu; a driver that needs no graphics card); "
-               "only stills and the viewer's window need it")  # fmt: skip
+               "only stills and the viewer's window need it")
 
 
 def _vulkan() -> Check:

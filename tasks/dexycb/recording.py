@@ -27,7 +27,7 @@ YCB_NAMES: tuple[str, ...] = (
     "007_tuna_fish_can", "008_pudding_box", "009_gelatin_box", "010_potted_meat_can", "011_banana", "019_pitcher_base",
     "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "036_wood_block", "037_scissors", "040_large_marker",
     "051_large_clamp", "052_extra_large_clamp", "061_foam_brick",
-)  # fmt: skip
+)
 """Objects by DexYCB's class id, which counts from 1."""
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 JOINT_NAMES: tuple[str, ...] = ("wrist", *(f"{finger}_{part}" for finger in FINGERS for part in ("mcp", "pip", "dip", "tip")))
@@ -204,7 +204,7 @@ def _against_the_table(positions: np.ndarray, grasped: int) -> tuple[str, str] |
         if len(seen) and (not TABLE_BAND[0] < seen[0, 2] < TABLE_BAND[1] or np.abs(seen[0, :2]).max() > 3.0):
             x, y, z = seen[0]
             return (f"objects that are first {TABLE_BAND[0]} to {TABLE_BAND[1]} m above the tag's table",
-                    f"object {k} at ({x:.3g}, {y:.3g}, {z:.3g}) m from the tag")  # fmt: skip
+                    f"object {k} at ({x:.3g}, {y:.3g}, {z:.3g}) m from the tag")
     way = positions[np.isfinite(positions[:, grasped, 2]), grasped]
     way = way - way[0]
     travel, rise = float(np.linalg.norm(way, axis=1).max()), float(way[:, 2].max())
@@ -420,7 +420,7 @@ def _in_view(file: Path, key: str, depth: np.ndarray, seen: np.ndarray) -> None:
     if wrong.any():
         where = tuple(np.argwhere(wrong)[0].tolist())
         raise RecordingError(file, key, f"{DEPTH[0]} to {DEPTH[1]} m in front of the camera", f"{depth[where]:.3g} at {list(where)}",
-                             "are they in metres?")  # fmt: skip
+                             "are they in metres?")
 
 
 def _matrices(quaternion: np.ndarray) -> np.ndarray:
@@ -452,7 +452,7 @@ def _w_first_quaternion(R: np.ndarray) -> np.ndarray:
         [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], R[2, 1] + R[1, 2], R[0, 2] - R[2, 0]],
         [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], R[1, 0] - R[0, 1]],
         [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)],
-    ])  # fmt: skip
+    ])
     x, y, z, w = np.linalg.eigh(K)[1][:, -1]
     return np.array([w, x, y, z])
 
@@ -462,7 +462,7 @@ def _hands(folder: Path, meta: _Meta, world_from: dict[str, np.ndarray], poses: 
     cameras = [serial for serial in world_from if serial != "apriltag" and (folder / serial).is_dir()]
     if not cameras:
         raise RecordingError(folder, "", f"a folder of labels per camera, as {meta.serials[0]}", "none",
-                             "hands are read from joint_3d there; MANO's parameters alone do not give them")  # fmt: skip
+                             "hands are read from joint_3d there; MANO's parameters alone do not give them")
     joints = np.full((meta.frames, len(JOINT_NAMES), 3), np.nan)
     seen_by = [""] * meta.frames
     for frame in range(meta.frames):
@@ -481,7 +481,7 @@ def _hands(folder: Path, meta: _Meta, world_from: dict[str, np.ndarray], poses: 
 def _other_cameras(
     folder: Path, meta: _Meta, world_from: dict[str, np.ndarray], poses: np.ndarray, cameras: list[str], joints: np.ndarray,
     seen_by: list[str],
-) -> None:  # fmt: skip
+) -> None:
     """Compare what every camera says, in a few frames, with what was taken of joints (F, 21, 3) and poses: they see one scene."""
     seen = [frame for frame, serial in enumerate(seen_by) if serial]
     for serial in cameras:
@@ -495,7 +495,7 @@ def _other_cameras(
             apart = np.linalg.norm(in_camera @ world_from[serial][:3, :3].T + world_from[serial][:3, 3] - joints[frame], axis=1).max()
             if apart > AGREEMENT:
                 raise RecordingError(file, "joint_3d", f"the hand within {AGREEMENT} m of where camera {seen_by[frame]} sees it",
-                                     f"{apart:.3g} m away", "check this camera's extrinsics: camera to master")  # fmt: skip
+                                     f"{apart:.3g} m away", "check this camera's extrinsics: camera to master")
 
 
 def _label(file: Path, meta: _Meta, world_from_camera: np.ndarray, poses: np.ndarray) -> np.ndarray | None:
@@ -512,20 +512,20 @@ def _label(file: Path, meta: _Meta, world_from_camera: np.ndarray, poses: np.nda
         apart = np.linalg.norm(world_from_camera[:3, :3] @ here[:, 3] + world_from_camera[:3, 3] - there[:3, 3])
         if apart > AGREEMENT:
             raise RecordingError(file, f"pose_y[{meta.grasped}]", f"the object within {AGREEMENT} m of where pose.npz has it",
-                                 f"{apart:.3g} m away", "check the unit and this camera's extrinsics: camera to master")  # fmt: skip
+                                 f"{apart:.3g} m away", "check the unit and this camera's extrinsics: camera to master")
         turned = _angle(world_from_camera[:3, :3] @ here[:, :3], there[:3, :3])
         if turned > TURNED:
             w_first = _angle(world_from_camera[:3, :3] @ here[:, :3], _read_w_first(there[:3, :3])) < TURNED
             mend = "pose.npz has its quaternions w first; the format is x, y, z, w" if w_first else "are the quaternions x, y, z, w?"
             raise RecordingError(file, f"pose_y[{meta.grasped}]", f"the object turned as in pose.npz to {np.rad2deg(TURNED):.0f} degrees",
-                                 f"{np.rad2deg(turned):.0f} degrees between them", mend)  # fmt: skip
+                                 f"{np.rad2deg(turned):.0f} degrees between them", mend)
     if (joints == -1.0).all():
         return None
     _in_view(file, "joint_3d", joints[:, 2], np.ones(len(joints), bool))
     reach = np.linalg.norm(joints - joints[0], axis=1).max()
     if not HAND_REACH[0] < reach < HAND_REACH[1]:
         raise RecordingError(file, "joint_3d", f"a hand of {HAND_REACH[0]} to {HAND_REACH[1]} m from wrist to farthest joint",
-                             f"{reach:.3g} m", "are joints in metres, in this order?")  # fmt: skip
+                             f"{reach:.3g} m", "are joints in metres, in this order?")
     return joints
 
 

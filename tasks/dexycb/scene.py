@@ -14,7 +14,7 @@ MASSES = {
     "010_potted_meat_can": 0.370, "011_banana": 0.066, "019_pitcher_base": 0.178, "021_bleach_cleanser": 1.131,
     "024_bowl": 0.147, "025_mug": 0.118, "035_power_drill": 0.895, "036_wood_block": 0.729, "037_scissors": 0.082,
     "040_large_marker": 0.0158, "051_large_clamp": 0.125, "052_extra_large_clamp": 0.202, "061_foam_brick": 0.028,
-}  # fmt: skip
+}
 """[kg], YCB object list (Calli et al. 2015)."""
 MOVED = 0.015
 """[m] from its start at which an object counts as moved by the hand."""

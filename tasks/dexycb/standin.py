@@ -172,7 +172,7 @@ def _assemble(
     item: PickObject, length: float, hand: np.ndarray, grasp: np.ndarray, in_hand: np.ndarray, axes: np.ndarray,
     contact: tuple[Sequence[float], np.ndarray], shares: np.ndarray, ways: tuple[np.ndarray, float, np.ndarray, np.ndarray],
     rng: np.random.Generator,
-) -> _Motion:  # fmt: skip
+) -> _Motion:
     """Play the phases: shares (F, 4) done of reach, closing, lift and carry.
 
     ``contact`` holds each finger's closing share where it touches, and where the thumb's tip does (3,) [m] in hand axes; ``ways``
@@ -234,7 +234,7 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
         [R[1, 0] + R[0, 1], m[1], R[2, 1] + R[1, 2], R[0, 2] - R[2, 0]],
         [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], m[2], R[1, 0] - R[0, 1]],
         [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], m[3]],
-    ][i])  # fmt: skip
+    ][i])
     return q / np.linalg.norm(q)
 
 
@@ -285,7 +285,7 @@ def _write_take(take: _Take, stamp: str, cameras: tuple[np.ndarray, np.ndarray])
     meta = {
         "serials": list(SERIALS), "num_frames": frames, "extrinsics": stamp, "ycb_ids": list(take.ids), "ycb_grasp_ind": 0,
         "mano_sides": [take.side], "mano_calib": [f"{stamp}_subject-01_{take.side}"],
-    }  # fmt: skip
+    }
     (take.folder / "meta.yml").write_text(yaml.dump(meta))
     pose_y, pose_m = np.zeros((frames, K, 7)), np.zeros((frames, 1, 51))
     for frame in range(frames):
@@ -329,7 +329,7 @@ def _write_label(take: _Take, frame: int, serial: str, camera_from_table: np.nda
         pose_m=(np.zeros((1, 51)) if hidden else wrist).astype(np.float32),
         joint_3d=np.full((1, 21, 3), -1, np.float32) if hidden else joints[None].astype(np.float32),
         joint_2d=np.full((1, 21, 2), -1, np.float32) if hidden else pixels[None].astype(np.float32),
-    )  # fmt: skip
+    )
     return wrist
 
 
@@ -385,7 +385,7 @@ def write_standin(
         raise ValueError(f"object {unknown[0]!r} has no primitive; there are: {', '.join(OBJECTS)}")
     if each < 1 or not objects or not 10 <= frames <= 1000 or seed < 0:
         raise ValueError(f"{each} recordings of {len(objects)} objects with {frames} frames and seed {seed} cannot be made; "
-                         "give at least one of each, 10 to 1000 frames and a seed from 0 on")  # fmt: skip
+                         "give at least one of each, 10 to 1000 frames and a seed from 0 on")
     root = Path(root)
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise ValueError(f"{root} exists and is not an empty folder; choose another --out")

@@ -117,7 +117,7 @@ HEADERS = {
     "a list": "[1, 2]", "deep": "(" * 5000, "long": " " * 60_000, "many axes": shaped("1," * 100),
     "records": "{'descr': [('a', '<f8'), ('b', '|O')], 'fortran_order': False, 'shape': (1,)}", "half": shaped("1.5"),
     "no comma": "{'descr': '<f8' 'fortran_order': False}", "null": "\0" * 30, "a key twice": shaped(1).replace("}", ", 'shape': (2,)}"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", HEADERS)
@@ -207,7 +207,7 @@ def test_bundles_that_ended_verify_in_a_traceback(tmp_path):
     for name, change in cases.items():
         path = packed(tmp_path / f"{name}.zip", files | change)
         done = subprocess.run([sys.executable, "-m", "toolkit.cli", "verify", str(path)], capture_output=True, text=True,
-                              cwd=Path(cli.__file__).parents[2])  # fmt: skip
+                              cwd=Path(cli.__file__).parents[2])
         assert done.returncode == 2 and "Traceback" not in done.stderr and len(done.stderr.splitlines()) == 1, (name, done.stderr)
 
 
@@ -240,7 +240,7 @@ FIT = {"name": "a", "count": 3, "share": 1, "maybe": None, "list": [], "map": {"
     ({"name": 3}, "name"), ({"count": True}, "count"), ({"count": 1.0}, "count"), ({"share": float("nan")}, "share"),
     ({"share": float("inf")}, "share"), ({"share": "1"}, "share"), ({"maybe": []}, "maybe"), ({"list": {}}, "list"),
     ({"list": [1, None]}, r"list\[1\]"), ({"map": []}, "map"), ({"map": {"k": {}}}, "map.k.x"), ({"map": {"k": {"x": 1}}}, "map.k.x"),
-])  # fmt: skip
+])
 def test_a_shape_is_required_and_the_place_named(change, place):
     assert require(FIT, SHAPE, "f.json", "mend it") is FIT
     with pytest.raises(ToolkitError, match=f"f.json is damaged, or of another version: {place} "):
@@ -264,7 +264,7 @@ def tensors_with(path, header, data=b""):
     ({"a": {"dtype": "F8_E4M3", "shape": [8], "data_offsets": [0, 8]}, "__metadata__": {"state": "{}"}}, bytes(8)),
     ({"a": {"dtype": "BOOL", "shape": [8], "data_offsets": [0, 8]}, "__metadata__": {"state": "{}"}}, bytes(8)),
     ({"__metadata__": {"state": "[1]"}}, b""), ({"__metadata__": {"state": "[" * 100_000}}, b""), ({"__metadata__": {"other": "{}"}}, b""),
-])  # fmt: skip
+])
 def test_odd_safetensors(tmp_path, header, data):
     with pytest.raises(ToolkitError, match="delete it"):
         read_tensors(tensors_with(tmp_path / "c.safetensors", header, data), "checkpoint", "state", "delete it")
@@ -274,7 +274,7 @@ def test_odd_safetensors(tmp_path, header, data):
     {"takes": "x"}, {"takes": [1]}, {"number": "0"}, {"targets": "ab"}, {"path": "../../elsewhere"}, {"stage": 3}, {"more": 1},
     {"takes": [{"policy": 10**9}]}, {"takes": [{"policy": -1}]}, {"takes": [{"roles": ["king"]}]}, {"takes": [{"roles": []}]},
     {"takes": [{"score": None}]}, {"takes": [{"noise": "yes"}]},
-])  # fmt: skip
+])
 def test_a_phase_that_says_what_cannot_be(tmp_path, change):
     """Opened, one of these asked for a billion policies, another would have been written outside the run folder."""
     network = {"parameters": np.zeros(4), "shift": np.zeros(2), "scale": np.ones(2)}
@@ -310,7 +310,7 @@ def test_a_run_file_that_opens_and_says_nothing(tmp_path, name, text):
 
 @pytest.mark.parametrize("line", [
     "{}", '{"event": "check"}', '{"event": "check", "path": "path 1", "stage": "evolve", "success": "high"}', "[]",
-])  # fmt: skip
+])
 def test_a_record_that_lacks_what_is_drawn(tmp_path, line):
     run = Run.create(tmp_path / "r", {})
     (run.path / "metrics.jsonl").write_text(line + "\n")

@@ -17,11 +17,11 @@ from toolkit.morphology.matching import CUBE
 KEYS = [
     "name", "arm_fk_error_m", "arm_mass_matrix_rel_error", "pad_position_error_m", "pad_angle_error_deg",
     "pad_force_rel_error", "closing_time_difference_steps", "grasp_frame_drift_m",
-]  # fmt: skip
+]
 LIMITS = {
     "arm_fk_error_m": 1e-6, "arm_mass_matrix_rel_error": 1e-6, "pad_position_error_m": 2e-3, "pad_angle_error_deg": 2.0,
     "pad_force_rel_error": 0.1, "closing_time_difference_steps": 1.0, "grasp_frame_drift_m": 1e-3,
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

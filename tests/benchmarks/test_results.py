@@ -19,7 +19,7 @@ def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_fo
     paths = {"path 1": epochs, "path 2": 7}
     for path in paths:
         run.append_metrics({"event": "check", "path": path, "stage": "evolve", "success": 0.75, "train_iterations": 3, "sim_epochs": 12,
-                            "check_episodes": 16, "diverged": 0})  # fmt: skip
+                            "check_episodes": 16, "diverged": 0})
     nodes = [{"name": n, "kind": "target" if n != "hand" else "source", "alpha": [0.5]} for n in ("hand", "left", "right")]
     edges = [{"from": "hand", "to": n, "length": 1.5} for n in ("left", "right")]
     run.write_json("tree", {"metric": "l1", "kind": kind, "length": 3.0, "nodes": nodes, "edges": edges})
@@ -30,7 +30,7 @@ def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_fo
         "totals": {"train_iterations": 6, "sim_epochs": epochs + 7, "check_episodes": 32, "diverged": 0},
         "wall_s": 100.0,
         "time": {"wall_s": 90.0}, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "path": "straight", "task": task,
-    })  # fmt: skip
+    })
     return run.path
 
 
@@ -69,7 +69,7 @@ def test_json_says_what_the_page_says(tmp_path):
     suite = tmp_path / "suite"
     suite.mkdir()
     for name, seed, epochs, successes, kind in (("tree-0", 0, 1001, 187, "steiner"), ("tree-1", 1, 2002, 163, "steiner"),
-                                                ("alone-0", 0, 4111, 151, "independent")):  # fmt: skip
+                                                ("alone-0", 0, 4111, 151, "independent")):
         finished(suite, name, seed, epochs, successes, kind)
     found = json.loads(json.dumps(results_json(finished_runs(suite))))
     alone, tree = found["rows"]
@@ -94,7 +94,7 @@ def test_learners_are_not_mixed(tmp_path):
     (path / "report.json").write_text(json.dumps(report | {"learner": "search"}))
     found = results_json(finished_runs(suite))
     assert found["ratios"] == [] and {row["method"] for row in found["rows"]} == {
-        "tree, L1, adaptive step", "independent, adaptive step, search"}  # fmt: skip
+        "tree, L1, adaptive step", "independent, adaptive step, search"}
 
 
 def test_the_way_to_a_target_counts_the_paths_shared_with_others(tmp_path):

@@ -373,7 +373,7 @@ def test_a_manifest_that_was_edited_by_hand_is_refused(copy):
     (lambda e: {"unit": "deg"} if e.name == "finger/THJ4" else {}, "observation 17 is 'finger/THJ4' .*'deg'"),
     (lambda e: {"frame": "world"} if e.name == "goal_from_object" else {}, "observation 27 is 'goal_from_object'"),
     (lambda e: {"name": "object_in_camera"} if e.name == "object_from_grasp" else {}, "observation 25 is 'object_in_camera'"),
-])  # fmt: skip
+])
 def test_a_record_that_this_release_does_not_give_is_refused_by_name(exported, change, culprit):
     manifest = exported(TARGET)[1]
     changed = dataclasses.replace(manifest, observation=tuple(dataclasses.replace(e, **change(e)) for e in manifest.observation))
@@ -430,7 +430,7 @@ def rehash(folder, name):
     lambda arrays: arrays.update(observations=arrays["observations"][:, :3]),
     lambda arrays: arrays.update(episode_goal=np.full(3, np.nan)),
     lambda arrays: arrays.update(actions=arrays["actions"].astype(np.float32)),
-])  # fmt: skip
+])
 def test_broken_golden_arrays_are_named(copy, spoil):
     with np.load(copy / "golden.npz") as file:
         arrays = dict(file)

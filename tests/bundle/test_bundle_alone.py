@@ -284,7 +284,7 @@ def complaints(value, schema, root, path="$"):
         number = isinstance(value, int | float) and not isinstance(value, bool)
         fits = {"object": isinstance(value, dict), "array": isinstance(value, list), "string": isinstance(value, str),
                 "boolean": isinstance(value, bool), "null": value is None, "number": number,
-                "integer": number and float(value).is_integer()}[schema["type"]]  # fmt: skip
+                "integer": number and float(value).is_integer()}[schema["type"]]
         if not fits:
             yield f"{path} is no {schema['type']}"
             return
@@ -326,7 +326,7 @@ def test_the_manifest_is_valid_by_the_schema_beside_it(exported, name):
     (lambda m: m["watch"].update(patience=3), "$.watch.patience is unknown"),
     (lambda m: m["simulation"]["actuators"][0].update(force=["x"]), "$.simulation.actuators[0].force fits nothing"),
     (lambda m: m["golden"].update(steps=2.5), "$.golden.steps is no integer"),
-])  # fmt: skip
+])
 def test_what_is_wrong_is_found_by_the_schema(exported, harm, where):
     folder, manifest = exported("panda")
     schema, broken = json.loads((folder / "manifest.schema.json").read_text()), json.loads(json.dumps(manifest))
@@ -395,13 +395,13 @@ def test_the_keys_that_isaac_lab_and_mjlab_read_are_there(exported, native, name
     for file in ("policy.onnx", "policy_flat.onnx"):
         words = {entry.key: entry.value for entry in onnx.load(folder / file).metadata_props}
         assert {"run_path", "joint_names", "joint_stiffness", "joint_damping", "default_joint_pos", "command_names", "observation_names",
-                "action_scale"} <= set(words)  # fmt: skip
+                "action_scale"} <= set(words)
         joints = words["joint_names"].split(",")
         numbers = {key: [float(v) for v in words[key].split(",")] for key in ("joint_stiffness", "joint_damping", "default_joint_pos")}
         model, data = native(name).model, native(name).data
         for place, joint in enumerate(joints):
             own = next(model.joint(prefix + joint) for prefix in ("robot0_", "gripper0_right_")
-                       if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + joint) >= 0)  # fmt: skip
+                       if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + joint) >= 0)
             motor = int(np.flatnonzero(model.actuator_trnid[:, 0] == own.id)[0])
             servo = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE
             assert numbers["joint_stiffness"][place] == (model.actuator_gainprm[motor, 0] if servo else 0.0)
@@ -468,7 +468,7 @@ def test_golden_actions_replay_in_robosuite_without_the_toolkit(unpacked, name):
     lambda m: m["simulation"]["actuators"][0].update(start=-m["simulation"]["actuators"][0]["start"]),
     lambda m: m["start"]["arm_rad"].__setitem__(1, m["start"]["arm_rad"][1] + 0.02),
     lambda m: m["task"]["object"].update(half_size_m=[0.03, 0.03, 0.03]),
-])  # fmt: skip
+])
 def test_a_replay_from_a_wrong_manifest_fails(unpacked, harm):
     """The script compares: a gripper that starts otherwise, an arm that does, another object are not the recording."""
     folder = unpacked("jaco")
@@ -485,7 +485,7 @@ EARLIER = ("policy.onnx", "policy.safetensors", "golden.npz", "robot.xml", "READ
 @pytest.mark.parametrize("version, lacks, kept", [
     (2, ("simulation", "licence", "holds"), EARLIER),
     (3, ("holds",), (*EARLIER, "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json")),
-])  # fmt: skip
+])
 def test_a_bundle_of_an_earlier_format_version_still_loads(unpacked, version, lacks, kept):
     """As earlier releases wrote it: fewer entries, and fewer files beside the manifest."""
     folder = unpacked("kinova3")

@@ -36,7 +36,7 @@ def bench(lab):
 
 def robot(**numbers):
     base = {"grip_n": 20.0, "grip_by_width": {}, "balance": 0.9, "height_mm": 0.0, "askew_nmm": 0.0, "opening_mm": 80.0,
-            "closing_steps": 8.0, "reach_mm": 20.0, "clearance_mm": 5.0}  # fmt: skip
+            "closing_steps": 8.0, "reach_mm": 20.0, "clearance_mm": 5.0}
     return Capability(**base | numbers)
 
 
@@ -92,7 +92,7 @@ def test_an_alpha_outside_the_box_is_refused(lab, bench):
 sane = st.builds(
     robot, grip_n=st.floats(1, 100), balance=st.floats(0, 1), height_mm=st.floats(-20, 20), opening_mm=st.floats(20, 150),
     closing_steps=st.floats(1, 150),
-)  # fmt: skip
+)
 
 
 @settings(max_examples=200)
@@ -106,7 +106,7 @@ def test_whatever_lies_between_the_ends_keeps_the_promise(first, last, share):
 @pytest.mark.parametrize("quantity, value", [
     ("grip_n", 15.9), ("grip_n", 25.1), ("balance", 0.79), ("height_mm", 5.1), ("height_mm", -5.1), ("opening_mm", 70.0),
     ("closing_steps", 10.0), ("closing_steps", None),
-])  # fmt: skip
+])
 def test_whatever_lies_outside_breaks_it(quantity, value):
     found = violations({0.0: robot(), 0.4: robot(**{quantity: value}), 1.0: robot()})
     assert [(v.share, v.quantity) for v in found] == [(0.4, quantity)]
@@ -320,7 +320,7 @@ def test_the_static_model_is_mujoco_s_own(merged, space):
         error = space.betas[robot_index] @ law._slope + law._offset
         driven = [k for k, slot in enumerate(merged.driven)
                   if (joint := space.matching.systems[robot_index].joints[slot]) is not None and joint.stiffness > 0
-                  and space.matching.slots[slot].name in ("FFJ2", "THJ4", "FFS", "THS")]  # fmt: skip
+                  and space.matching.slots[slot].name in ("FFJ2", "THJ4", "FFS", "THS")]
         off = np.abs(error[law._cuts["error"]])[driven]
         assert off.max() < 0.05, f"{space.matching.names[robot_index]}: {off}"
 

@@ -126,7 +126,7 @@ CARDS = {
     "syntax": "def (\n", "import": "import nosuchmodule\n", "attribute": "import numpy\nnumpy.nosuch\n", "key": "{}['x']\n",
     "zero": "1 / 0\n",
     "file": "open('/nosuch')\n",
-}  # fmt: skip
+}
 
 
 @pytest.fixture

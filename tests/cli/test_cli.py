@@ -19,7 +19,7 @@ from toolkit.runs.run import Run
 COMMANDS = (
     "robots", "match", "tree", "audit", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "stress",
     "deploy", "twin", "doctor", "recordings", "bench",
-)  # fmt: skip
+)
 POINTS = {
     "source": {"name": "hand", "alpha": [0.0, 0.0, 0.0]},
     "targets": [{"name": "left", "alpha": [0.8, 0.6, 0.2]}, {"name": "right", "alpha": [0.8, 0.2, 0.9]}],
@@ -148,7 +148,7 @@ def test_resuming_what_is_not_there_says_so(capsys, learner):
      (["--targets", "jaco"], "targets = ['kinova3', 'iiwa'], not ['jaco']"),
      (["--expert", "adroit-061_foam_brick"], "expert = adroit-061_foam_brick-wide-recordings, not adroit-061_foam_brick"),
      (["--preset", "paper", "--targets", "kinova3", "iiwa"], "transfer.step = adaptive, not fixed")],
-)  # fmt: skip
+)
 def test_resuming_with_another_config_names_the_difference(capsys, learner, asked, said):
     from robots import ROBOTS
     from tasks import TASKS
@@ -354,7 +354,7 @@ def test_trees_are_timed(capsys):
     found = answer(capsys, "bench", "tree", "--terminals", "4", "8", "--dimensions", "20", "--longer", "2")
     assert [(t["metric"], t["terminals"], t["optimal"]) for t in found["trees"]] == [
         ("l1", 4, True), ("l1", 8, True), ("l2", 4, True), ("l2", 8, False),
-    ]  # fmt: skip
+    ]
     for timing in found["trees"]:
         assert timing["seconds"] > 0 and timing["length"] >= timing["best_known"] > 0 and timing["excess"] >= 0
         assert timing["gap"] == pytest.approx(max(0, 1 - timing["lower_bound"] / timing["length"]))
@@ -371,7 +371,7 @@ def test_truncated_points_are_refused(capsys, points):
     "text, said",
     [("[]", "points.json"), ('{"source": {"name": "a", "alpha": [0, 2]}, "targets": [{"name": "b", "alpha": [0, 1]}]}', "alpha[1]"),
      ('{"source": {"name": "a", "alpha": [0]}, "targets": []}', "list at least one robot"), (None, "cannot be read")],
-)  # fmt: skip
+)
 def test_other_points_are_refused(capsys, points, text, said):
     if text is None:
         Path(points).unlink()
@@ -444,7 +444,7 @@ def test_the_audit_of_the_robots(capsys, lab, tmp_path):
     """Two robots per edge are its ends, and the refined ones; test_capability.py holds what they must be able to do."""
     names = lab.space.matching.names
     found = answer(capsys, "audit", "--targets", *names[1:], "--kind", "independent", "--robots", "2", "--episodes", "0", "--no-causes",
-                   "--plot", tmp_path / "audit.svg")  # fmt: skip
+                   "--plot", tmp_path / "audit.svg")
     assert [(edge["from"], edge["to"]) for edge in found["edges"]] == [(names[0], name) for name in names[1:]]
     for edge in found["edges"]:
         shares = [robot["share"] for robot in edge["robots"]]
@@ -466,7 +466,7 @@ def test_the_match_of_the_robots(capsys, lab):
     assert [row["name"] for row in found["robots"]] == list(lab.space.matching.names[:2])
     figures = {
         "arm_fk_error_m", "arm_mass_matrix_rel_error", "pad_position_error_m", "pad_angle_error_deg", "pad_force_rel_error",
-    }  # fmt: skip
+    }
     for row in found["robots"]:
         assert figures <= row.keys(), figures - row.keys()
         assert all(isinstance(row[key], float) and np.isfinite(row[key]) for key in figures), row
@@ -640,7 +640,7 @@ def test_an_unfinished_run_is_continued_by_the_command_that_started_it(capsys, m
     assert said.endswith(f"finish it with: meta-evolve transfer --targets kinova3 iiwa --seed 3 --run {trained} --resume")
     Path(trained, "command.json").write_text('{"words": ["transfer", "; rm -r $HOME"]}')
     assert refusal(capsys, "evaluate", trained, "--target", "iiwa").endswith(
-        f"meta-evolve transfer '; rm -r $HOME' --run {trained} --resume")  # fmt: skip
+        f"meta-evolve transfer '; rm -r $HOME' --run {trained} --resume")
 
 
 # -- recordings ------------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ PRINTING = [
     ("robots",), ("robots", "--json"), ("tree", "--points", "points.json"), ("tree", "--points", "points.json", "--json"),
     ("bench", "tree", "--terminals", "4", "--dimensions", "3", "--json"),
     ("recordings", "make", "made", "--objects", "061_foam_brick", "--each", "1", "--frames", "12", "--json"), ("--help",),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("words", PRINTING, ids=" ".join)
@@ -70,7 +70,7 @@ def test_output_that_found_no_room_is_no_success(words):
 def test_a_failure_stays_one_when_nobody_reads():
     """Each prints before it fails; the exit status is all that a script sees."""
     subprocess.run(command("recordings", "make", "hands", "--objects", "061_foam_brick", "--each", "2", "--frames", "12"), check=True,
-                   stdout=subprocess.DEVNULL, timeout=120)  # fmt: skip
+                   stdout=subprocess.DEVNULL, timeout=120)
     sorted(Path("hands").glob("*/*/*/labels_*.npz"))[3].unlink()
     assert unread("recordings", "list", "hands")[0] == 2
     assert unread("tree", "--points", "nosuch.json")[0] == 2
@@ -80,7 +80,7 @@ def test_a_lost_line_of_progress_stops_nothing():
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(command("bench", "tree", "--terminals", "4", "--dimensions", "3", "--json"), stdout=subprocess.PIPE,
-                          stderr=writer, text=True, timeout=120)  # fmt: skip
+                          stderr=writer, text=True, timeout=120)
     os.close(writer)
     assert done.returncode == 0 and done.stdout.startswith("{")
 
@@ -152,7 +152,7 @@ def test_a_twin_that_is_killed_ends_in_a_sentence_with_what_is_known():
     deploy = subprocess.Popen(
         command("deploy", "kinova3", "--connect", f"127.0.0.1:{port}", "--pace", "lockstep", "--episodes", "50"),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    )
     try:
         for line in deploy.stderr:
             if "succeed" in line:  # the first episode is over
@@ -238,7 +238,7 @@ class Recorded:
         row = min(self.row, last)
         self.row += 1
         return State(time.monotonic(), g["episode_joints"][row], g["episode_object_position"][row], g["episode_object_quaternion"][row],
-                     g["episode_goal"], g["episode_fingers"][row], outcome="running" if self.row <= last else "success")  # fmt: skip
+                     g["episode_goal"], g["episode_fingers"][row], outcome="running" if self.row <= last else "success")
 
     def send(self, command):
         return command

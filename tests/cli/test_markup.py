@@ -30,7 +30,7 @@ NAMES = (
     "a&amp;b", "a$b$", "$x^$", "$\\frac{", "a\\b", "a`b`", "[a](http://b)", "a b", "'; rm -rf x; '", '"', "$(touch pwned)",
     "a\x1b[31mb", "a\tb",
     "a\nb", "\u202eabc", "\u00e4\u6f22", "%s{x}", "#1", "-x", "~", "*",
-)  # fmt: skip
+)
 
 
 def points(tmp_path, *names):
@@ -75,7 +75,7 @@ class Tags(HTMLParser):
     """The tags of a page that are not ours, and all its text."""
 
     OURS = {"meta", "title", "style", "h1", "h2", "h3", "p", "figure", "figcaption", "img", "div", "table", "thead", "tbody", "tr", "th",
-            "td", "pre", "html", "head", "body"}  # fmt: skip
+            "td", "pre", "html", "head", "body"}
 
     def __init__(self):
         super().__init__()
@@ -101,7 +101,7 @@ def test_the_report_page_shows_names_and_nothing_else(tmp_path, name):
     events = {"moved": name}
     records = [record | {"path": name, "event": events.get(record["event"], record["event"]), "target": name} for record in records]
     tree = {"metric": "l1", "kind": "steiner", "nodes": [{"name": "s", "kind": "source", "alpha": [0.0]},
-            {"name": name, "kind": "target", "alpha": [1.0]}], "edges": [{"from": "s", "to": name, "length": 1.0}]}  # fmt: skip
+            {"name": name, "kind": "target", "alpha": [1.0]}], "edges": [{"from": "s", "to": name, "length": 1.0}]}
     pictures = dict.fromkeys(("tree", "projection", "curves", "parameters"), b"")
     for told_of in (report, None):
         tags = Tags()
@@ -188,7 +188,7 @@ def test_no_line_for_people_is_pasted_together():
     root = Path(page.__file__).parents[2]
     found = [f"{file.name}: {line.strip()}" for file in root.rglob("*.py") for line in file.read_text().splitlines()
              if re.search(r"meta-evolve [a-z].*\{(?!told)", line) and "robots --check {robot.name}" not in line
-             and "--targets {robot.name}" not in line]  # fmt: skip
+             and "--targets {robot.name}" not in line]
     assert not found, found
 
 

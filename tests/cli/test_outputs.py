@@ -182,7 +182,7 @@ def test_a_tree_is_printed_whatever_becomes_of_its_picture(tmp_path, monkeypatch
 
 @pytest.mark.parametrize("command", [
     ("tree", "--points", "p.json", "--plot"), ("match", "--plot"), ("bench", "walk", "--plot"), ("bench", "engine", "--page"),
-])  # fmt: skip
+])
 @pytest.mark.parametrize("place", ["nosuch/a.png", "noending", "folder.png", "a.nosuch"])
 def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(tmp_path, monkeypatch, capsys, command, place):
     monkeypatch.chdir(tmp_path)

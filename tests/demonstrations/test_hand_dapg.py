@@ -23,7 +23,7 @@ def episodes(task=DOOR, count=3, steps=5):
     return [{"observations": rng.standard_normal((steps + k, len(task.observation_names))),
              "actions": rng.standard_normal((steps + k, len(task.action_names))), "rewards": rng.standard_normal(steps + k),
              "init_state_dict": {"qpos": rng.standard_normal(30), "door_body_pos": np.float64(0.5)}}
-            for k in range(count)]  # fmt: skip
+            for k in range(count)]
 
 
 def written(path, content, protocol=2):
@@ -60,7 +60,7 @@ def test_a_pickle_of_python_2_is_read(tmp_path):
         shape = b"".join(b"K" + bytes([size]) for size in values.shape) + b"\x86"
         return (b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85" + text(b"b") + b"\x87R(K\x01" + shape
                 + b"cnumpy\ndtype\n" + text(b"f8") + b"K\x00K\x01\x87R(K\x03" + text(b"<") + b"NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"
-                + b"\x89T" + struct.pack("<i", len(raw)) + raw + b"tb")  # fmt: skip
+                + b"\x89T" + struct.pack("<i", len(raw)) + raw + b"tb")
 
     (shown,) = episodes(count=1)
     program = b"\x80\x02](}(" + b"".join(text(key.encode()) + array(shown[key]) for key in ("observations", "actions")) + b"ue."
@@ -188,6 +188,6 @@ def resaved(path, **changes):
     ({"observations": np.full((18, 39), np.inf)}, "observations[0, 0] of episode 0 is inf"),
     ({"action_names": np.array(DOOR.action_names[::-1])}, "'servo/THJ0' where 'servo/ARTz' belongs"),
     ({"action_names": np.array(DOOR.action_names[:-1])}, "27 where 28 belongs"),
-])  # fmt: skip
+])
 def test_mistakes_in_a_file_are_named(tmp_path, changes, why):
     assert why in refusal(resaved(tmp_path / "door.npz", **changes))

@@ -183,7 +183,7 @@ def test_fingers_that_closed_beside_the_object_open_and_come_back_over_it():
         assert (action[6:] == -1).all(), f"at progress {progress} the fingers stay closed on nothing"
         assert action[0] < 0 < action[2], "the hand does not go back, above the object"
     held = script(observation_of(object_from_grasp=script._offset[-1] + [0.0, 0.01, -0.01], closing_progress=1.0,
-                                 goal_from_object=[0.0, 0.1, 0.2]))  # fmt: skip
+                                 goal_from_object=[0.0, 0.1, 0.2]))
     assert (held[6:] == 1).all() and held[2] > 0.5, "what is held, if a little off, is let go"
 
 
@@ -259,7 +259,7 @@ def test_the_clip_is_drawn(studio, demonstration, tmp_path):
 
     d, trace = demonstration, studio.trace(demonstration)
     clip = Clip(d.recording.name, d.scene.task.object, 0.04, d.scene.joints(d.recording), d.scene.object_poses(d.recording), d.hand,
-                d.motion.frames, d.motion.qpos, trace.model, trace.qpos, 0.05, "reaches the goal")  # fmt: skip
+                d.motion.frames, d.motion.qpos, trace.model, trace.qpos, 0.05, "reaches the goal")
     record_clips(tmp_path / "hands.rrd", [clip, clip])
     assert (tmp_path / "hands.rrd").stat().st_size > 10**5
     assert not isinstance(d, Dropped)

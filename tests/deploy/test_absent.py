@@ -34,7 +34,7 @@ def arm(bundle):
     published = []
     message = lambda: SimpleNamespace(joint_names=[], points=[])  # noqa: E731
     return Ros2(SimpleNamespace(publish=published.append), message, SimpleNamespace, lambda sec, nanosec: (sec, nanosec), "iiwa", names,
-                names, scene_of(bundle), lambda *to: None, lambda: 1.0)  # fmt: skip
+                names, scene_of(bundle), lambda *to: None, lambda: 1.0)
 
 
 def told(arm, bundle, velocity=(0.0,) * N, effort=(0.0,) * N, position=None, names=None):
@@ -58,7 +58,7 @@ ABSENT = {
     "no list of efforts": ({"effort": []}, ("speeds",)), "no lists": ({"effort": [], "velocity": []}, ()),
     "one joint's effort": ({"effort": ONE}, ("speeds",)), "one joint's speed": ({"velocity": ONE}, ("efforts",)),
     "nothing": ({}, ("speeds", "efforts")),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ABSENT)
@@ -134,7 +134,7 @@ EMPTY = SimpleNamespace(gripper_feedback=SimpleNamespace(motor=[]))
 
 @pytest.mark.parametrize("changes, sentence", [
     ({"interconnect": EMPTY}, "reports no gripper"), ({"actuators": []}, "reports 0 joints, not 7"),
-])  # fmt: skip
+])
 def test_kortex_without_a_gripper_or_with_other_joints_says_so(kortex, changes, sentence):
     """Protocol buffers give an empty list for what is not there."""
     arm = kortex(**changes)
@@ -157,7 +157,7 @@ def test_ur_before_its_first_package(bundle, key, value):
     answers = {"getActualQ": [0.0] * N, "getActualQd": [0.0] * N, "getTargetMoment": [0.0] * N} | {key: value}
     arm._receive = SimpleNamespace(isEmergencyStopped=lambda: False, isProtectiveStopped=lambda: False,
                                    isConnected=lambda: True, getTimestamp=time.monotonic,
-                                   **{name: (lambda found=found: found) for name, found in answers.items()})  # fmt: skip
+                                   **{name: (lambda found=found: found) for name, found in answers.items()})
     if key == "getActualQ":
         with pytest.raises(ToolkitError, match=rf"reports {len(value)} joints, not 7"):
             arm.read()

@@ -82,7 +82,7 @@ def arm(monkeypatch):
     receive = SimpleNamespace(getActualQ=lambda: ANGLES[:6].tolist(), getActualQd=lambda: [0.1] * 6, getTargetMoment=lambda: [5.0] * 6,
                               getTimestamp=lambda: made.get("seconds", time.monotonic() + 77.0),
                               isConnected=lambda: made.get("connected", True),
-                              isEmergencyStopped=lambda: False, isProtectiveStopped=lambda: made.get("protective", False))  # fmt: skip
+                              isEmergencyStopped=lambda: False, isProtectiveStopped=lambda: made.get("protective", False))
     monkeypatch.setitem(sys.modules, "rtde_control", SimpleNamespace(RTDEControlInterface=control))
     monkeypatch.setitem(sys.modules, "rtde_receive", SimpleNamespace(RTDEReceiveInterface=lambda host: receive))
     moved = []
@@ -177,10 +177,10 @@ class FakeFranky:
         self.moves, self.widths, self.stops, self.seconds = [], [], 0, None
         state = SimpleNamespace(q=ANGLES.tolist(), dq=[0.0] * 7, tau_J=[1.0] * 7, time=self)
         self.arm = SimpleNamespace(state=state, has_errors=False, relative_dynamics_factor=1.0, stop=self._stop,
-                                   move=lambda motion, asynchronous=False: self.moves.append((motion, asynchronous)))  # fmt: skip
+                                   move=lambda motion, asynchronous=False: self.moves.append((motion, asynchronous)))
         self.hand = SimpleNamespace(width=0.06, stop=lambda: None, move_async=lambda width, speed: self.widths.append((width, speed)))
         for name in ("JointMotion", "JointState", "JointStopMotion", "CartesianStopMotion", "CartesianMotion", "CartesianState",
-                     "RobotPose", "Affine"):  # fmt: skip
+                     "RobotPose", "Affine"):
             setattr(self, name, lambda *arguments, name=name: (name, *arguments))
 
     def Robot(self, host):
@@ -244,7 +244,7 @@ def test_franka_reads_holds_and_stops(franky):
 @pytest.mark.parametrize("make", [
     lambda: ur.UniversalRobots("x", "ur5e", JOINTS[:6], scene, lambda *to: None, lambda: 1.0),
     lambda: franka.Franka("x", "panda", JOINTS, scene, 0.08),
-])  # fmt: skip
+])
 def test_a_missing_vendor_package_is_named_with_its_cure(make, monkeypatch):
     for name in ("rtde_control", "rtde_receive", "franky"):
         monkeypatch.setitem(sys.modules, name, None)
@@ -257,7 +257,7 @@ def test_a_missing_vendor_package_is_named_with_its_cure(make, monkeypatch):
     lambda: franka.Franka("x", "panda", JOINTS, scene, 0.08),
     lambda: kortex.Kortex("x", "kinova3", JOINTS, scene, ("user", "secret")),
     lambda: ros2.Ros2(None, None, None, None, "iiwa", JOINTS, JOINTS, scene, lambda *to: None, lambda: 1.0),
-])  # fmt: skip
+])
 def test_robosuites_deltas_are_refused_by_arms_that_do_not_know_them(make):
     with pytest.raises(ToolkitError, match="osc|robosuite deltas"):
         make().send(Command("osc", False, np.zeros(6), np.zeros(0), 0.0, 1.0, 0.08))
@@ -409,7 +409,7 @@ def test_ros2_looks_joints_up_by_name_and_gives_seconds():
     published, names = [], [f"lbr_A{i}" for i in range(1, 8)]
     message = lambda: SimpleNamespace(velocities=[])  # noqa: E731
     driver = ros2.Ros2(SimpleNamespace(publish=published.append), message, message, lambda sec, nanosec: sec + 1e-9 * nanosec, "iiwa",
-                       JOINTS, names, scene, lambda *to: None, lambda: 1.0)  # fmt: skip
+                       JOINTS, names, scene, lambda *to: None, lambda: 1.0)
     with pytest.raises(ToolkitError, match="nothing came on /joint_states"):
         driver.read()
     shuffled = names[::-1]
@@ -505,7 +505,7 @@ def test_kortex_and_ros2_repeat_themselves_and_grow_old(gen3, kinova, monkeypatc
     first = kinova.read().stamp
     ros = ros2.Ros2(None, None, None, None, "iiwa", JOINTS, JOINTS, scene, lambda *to: None, lambda: 1.0)
     message = SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=10**9, nanosec=0)), name=list(JOINTS),
-                              position=[0.0] * 7, velocity=[], effort=[])  # fmt: skip
+                              position=[0.0] * 7, velocity=[], effort=[])
     ros.heard(message)
     told = ros.read().stamp
     time.sleep(0.05)
@@ -522,7 +522,7 @@ def test_kortex_and_ros2_repeat_themselves_and_grow_old(gen3, kinova, monkeypatc
 
 def facts(manifest):
     return {"robot": manifest.robot.name, "joints": tuple(j.name for j in manifest.joints), "fingers": manifest.gripper.joints,
-            "forms": ("osc", "joint"), "rate_hz": 500.0}  # fmt: skip
+            "forms": ("osc", "joint"), "rate_hz": 500.0}
 
 
 @pytest.mark.parametrize("change, sentence", [
@@ -536,7 +536,7 @@ def facts(manifest):
     ({"forms": ("joint",)}, "takes no 'osc' commands"),
     ({"rate_hz": 10.0}, "slower than the policy"),
     ({"model_sha256": "0" * 64}, "not the model that the bundle was made on"),
-])  # fmt: skip
+])
 def test_an_arm_that_does_not_fit_is_refused_by_name(change, sentence):
     from toolkit.bundle.reading import load_bundle
 

@@ -104,7 +104,7 @@ def test_ur_opens_no_control_interface(start, monkeypatch, capsys):
 
     receive = SimpleNamespace(getActualQ=start.tolist, getActualQd=lambda: [0.0] * 7, getTargetMoment=lambda: [0.0] * 7,
                               getTimestamp=time.monotonic, isConnected=lambda: True, isEmergencyStopped=lambda: False,
-                              isProtectiveStopped=lambda: False)  # fmt: skip
+                              isProtectiveStopped=lambda: False)
     monkeypatch.setitem(sys.modules, "rtde_control", SimpleNamespace(RTDEControlInterface=control))
     monkeypatch.setitem(sys.modules, "rtde_receive", SimpleNamespace(RTDEReceiveInterface=lambda host: receive))
     status, out, _ = run(capsys, "--driver", "ur", "--host", "10.0.0.2", "--json")
@@ -133,7 +133,7 @@ def test_franka_is_given_no_motion_and_no_setting(start, monkeypatch, capsys):
     state = SimpleNamespace(q=start.tolist(), dq=[0.0] * 7, tau_J=[0.0] * 7, time=Now())
     width = load_bundle("kinova3").manifest.gripper.opening_m[0]
     fake = SimpleNamespace(Robot=lambda host: Untouchable(state=state, has_errors=False), Gripper=lambda host: Untouchable(width=width),
-                           Exception=RuntimeError)  # fmt: skip
+                           Exception=RuntimeError)
     monkeypatch.setitem(sys.modules, "franky", fake)
     status, out, _ = run(capsys, "--driver", "franka", "--host", "10.0.0.3", "--json")
     assert status == 0 and json.loads(out)["would_send"] == 3

@@ -39,7 +39,7 @@ class Direct:
     def read(self):
         found = self.twin.read()
         arrays = {key: np.array(found[key], float) for key in ("joints", "fingers", "speeds", "efforts", "object_position",
-                                                                "object_quaternion", "goal")}  # fmt: skip
+                                                                "object_quaternion", "goal")}
         return State(time.monotonic(), fault=found["fault"], outcome=found["outcome"], **arrays)
 
 

@@ -17,7 +17,7 @@ from toolkit.deploy.mocks import VENDORS, mocked
 from toolkit.runs.seeds import EVALUATION_SEEDS
 
 PLAYED = ("nothing", "nothing new comes, nor a stamp", "frozen but for encoder noise", "joints in degrees", "a joint missing",
-          "gripper not numbers", "the arm does not obey", COMPLAINT)  # fmt: skip
+          "gripper not numbers", "the arm does not obey", COMPLAINT)
 """Beside the layers stamp and vendor; `bench faults --driver NAME` plays all."""
 
 
@@ -66,7 +66,7 @@ def test_a_lie_comes_out_of_the_driver_as_it_went_into_the_vendors_interface(bun
         turns = (read.joints - truth.joints) / (2 * np.pi)
         np.testing.assert_allclose(turns, turns.round(), atol=1e-9)  # Kortex counts from 0 to 360 degrees
         np.testing.assert_allclose([read.opening, *read.object_position, *read.goal],
-                                   [truth.opening, *truth.object_position, *truth.goal], atol=1e-9)  # fmt: skip
+                                   [truth.opening, *truth.object_position, *truth.goal], atol=1e-9)
         assert abs(read.stamp - truth.stamp) < 0.05, "the device's clock is set to ours"
 
 

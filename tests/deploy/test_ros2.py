@@ -107,7 +107,7 @@ def test_the_scene_comes_from_tf_with_its_own_stamp():
         transform=SimpleNamespace(translation=SimpleNamespace(x=-0.1, y=0.02, z=0.83),
                                   rotation=SimpleNamespace(x=0.0, y=0.0, z=0.6, w=0.8)),
         header=SimpleNamespace(stamp=SimpleNamespace(sec=100, nanosec=500)),
-    )  # fmt: skip
+    )
     asked = []
 
     def lookup(*what):

@@ -32,7 +32,7 @@ def bundle():
 def info_of(manifest, **changes):
     joints = tuple(joint.name for joint in manifest.joints)
     facts = {"robot": manifest.robot.name, "joints": joints, "fingers": manifest.gripper.joints, "forms": ("osc", "pose", "joint"),
-             "rate_hz": 100.0, "model_sha256": manifest.robot.model_sha256}  # fmt: skip
+             "rate_hz": 100.0, "model_sha256": manifest.robot.model_sha256}
     return ArmInfo(**facts | changes)
 
 
@@ -41,7 +41,7 @@ def start_state(bundle, now=0.0):
     g = bundle.golden
     return State(now, g["episode_joints"][0].copy(), g["episode_object_position"][0].copy(), g["episode_object_quaternion"][0].copy(),
                  g["episode_goal"].copy(), g["episode_fingers"][0].copy(), speeds=np.zeros(len(bundle.manifest.joints)),
-                 efforts=np.zeros(len(bundle.manifest.joints)))  # fmt: skip
+                 efforts=np.zeros(len(bundle.manifest.joints)))
 
 
 def changed(state, **changes):
@@ -186,14 +186,14 @@ def rotation_matrix(quaternion):
     w, x, y, z = quaternion
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])  # fmt: skip
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
 
 
 class Puppet:
     """An arm that obeys, more or less, in a world that lies now and then."""
 
     HARMS = ("nan joint", "inf joint", "nan object", "stale", "future", "jump", "teleport", "fast", "effort", "fault", "lost", "short",
-             "late")  # fmt: skip
+             "late")
 
     def __init__(self, bundle, rng):
         self.bundle, self.rng, m = bundle, rng, bundle.manifest
@@ -245,7 +245,7 @@ class Puppet:
             "fast": lambda: changed(state, speeds=np.full(n, 50.0)), "effort": lambda: changed(state, efforts=np.full(n, 1e4)),
             "fault": lambda: changed(state, fault="protective stop"), "lost": lambda: changed(state, outcome="lost"),
             "short": lambda: changed(state, joints=state.joints[:-1]),
-        }.get(harm, lambda: state)()  # fmt: skip
+        }.get(harm, lambda: state)()
 
 
 def wild_policy(rng):
@@ -257,7 +257,7 @@ def wild_policy(rng):
             temper["kind"] = rng.choice(["uniform", "bang", "steady", "huge"])
             temper["push"] = rng.choice([-1.0, 1.0], 7)
         action = {"uniform": lambda: rng.uniform(-1, 1, 7), "bang": lambda: rng.choice([-1.0, 1.0], 7),
-                  "steady": lambda: temper["push"], "huge": lambda: 1e30 * rng.uniform(-1, 1, 7)}[temper["kind"]]()  # fmt: skip
+                  "steady": lambda: temper["push"], "huge": lambda: 1e30 * rng.uniform(-1, 1, 7)}[temper["kind"]]()
         if rng.random() < 0.005:
             action = action.copy()
             action[rng.integers(7)] = rng.choice([np.nan, np.inf, -np.inf])
@@ -328,7 +328,7 @@ def started(bundle, form="osc", policy=None, **changes):
     ({"goal": np.array([5.0, 0, 1])}, "observation_jump", "goal_from_object"),
     ({"object_position": np.array([-0.1, 0, 0.7])}, "object_lost", "0.700 m"),
     ({"joints": np.zeros(6)}, "state_shape", r"\(6,\), not \(7,\)"),
-])  # fmt: skip
+])
 def test_a_fault_holds_in_its_own_tick_and_is_named(bundle, form, change, kind, culprit):
     runtime = started(bundle, form)
     good = start_state(bundle, 0.05)
@@ -412,7 +412,7 @@ def test_an_object_that_slips_out_of_the_lifted_gripper_stops_the_arm(bundle):
         behind += 0.01 if height > 0.05 else 0.0
         position = g["episode_object_position"][row] - (0, 0, behind)
         state = State(0.05 * row, g["episode_joints"][row], position, g["episode_object_quaternion"][row], g["episode_goal"],
-                      g["episode_fingers"][row])  # fmt: skip
+                      g["episode_fingers"][row])
         if row == 0:
             assert runtime.begin(state, 0.0) is None
         found = runtime.tick(state, 0.05 * row).fault
@@ -429,7 +429,7 @@ def test_the_recorded_episode_passes_the_filter_untouched(bundle, form):
     runtime = Runtime(bundle, info_of(m), form)
     for row in range(m.golden.steps):
         state = State(0.05 * row, g["episode_joints"][row], g["episode_object_position"][row], g["episode_object_quaternion"][row],
-                      g["episode_goal"], g["episode_fingers"][row])  # fmt: skip
+                      g["episode_goal"], g["episode_fingers"][row])
         if row == 0:
             assert runtime.begin(state, 0.0) is None
         tick = runtime.tick(state, 0.05 * row)

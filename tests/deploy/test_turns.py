@@ -55,7 +55,7 @@ def played(bundle, form, turns=lambda tick: 0.0, order=None):
         shift = TURN * turns(tick) * endless(bundle)
         angles = angles if form == "joint" else g["episode_joints"][tick]
         state = State(0.05 * tick, (angles + shift)[order], g["episode_object_position"][tick], g["episode_object_quaternion"][tick],
-                      g["episode_goal"], g["episode_fingers"][tick])  # fmt: skip
+                      g["episode_goal"], g["episode_fingers"][tick])
         if tick == 0:
             assert runtime.begin(state, state.stamp) is None
         done = runtime.tick(state, state.stamp)
@@ -110,7 +110,7 @@ def test_a_hold_stands_in_the_arms_own_turn(bundle):
     runtime, g = Runtime(bundle, info_of(bundle), "joint"), bundle.golden
     shift = TURN * 2 * endless(bundle)
     state = State(0.0, g["episode_joints"][0] + shift, g["episode_object_position"][0], g["episode_object_quaternion"][0],
-                  g["episode_goal"], g["episode_fingers"][0])  # fmt: skip
+                  g["episode_goal"], g["episode_fingers"][0])
     assert runtime.begin(state, 0.0) is None
     tick = runtime.tick(dataclasses.replace(state, fault="protective stop"), 0.0)
     assert tick.command.hold and np.abs(tick.command.target - state.joints).max() < 1e-9
@@ -124,7 +124,7 @@ def test_a_joint_with_limits_is_not_turned(bundle):
     joints = g["episode_joints"][0].copy()
     joints[limited[0]] += TURN
     state = State(0.0, joints, g["episode_object_position"][0], g["episode_object_quaternion"][0], g["episode_goal"],
-                  g["episode_fingers"][0])  # fmt: skip
+                  g["episode_fingers"][0])
     fault = runtime.begin(state, 0.0)
     assert fault is not None and fault.kind in ("joint_limit", "start_pose")
 
@@ -136,7 +136,7 @@ def test_turns_that_no_encoder_counts_are_nonsense(bundle, reading):
     joints = g["episode_joints"][0].copy()
     joints[np.flatnonzero(endless(bundle))[0]] = reading
     state = State(0.0, joints, g["episode_object_position"][0], g["episode_object_quaternion"][0], g["episode_goal"],
-                  g["episode_fingers"][0])  # fmt: skip
+                  g["episode_fingers"][0])
     fault = runtime.begin(state, 0.0)
     assert fault is not None and fault.kind == "joint_limit" and "no encoder counts" in fault.detail
 
@@ -172,7 +172,7 @@ def test_an_endless_joint_may_turn_on_and_on(bundle):
         read = (true + np.pi) % TURN - np.pi if step % 2 else true
         read = np.where(endless(bundle), read, true)
         state = State(0.0, read, g["episode_object_position"][0], g["episode_object_quaternion"][0], g["episode_goal"],
-                      g["episode_fingers"][0])  # fmt: skip
+                      g["episode_fingers"][0])
         np.testing.assert_allclose(observer.arm(state), true, atol=1e-9)
         observer(state, -1.0)
 
@@ -198,7 +198,7 @@ def test_kortex_drives_the_shorter_way_whatever_turn_is_asked_for(gen3):
     for turns in (0, 1, -2):
         gen3.rate, gen3.angles, gen3.speeds[:] = np.zeros(7), np.radians(np.full(7, 359.0)), []
         arm = Kortex("here", "kinova3", [f"j{i}" for i in range(7)], lambda: (np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), 0.0),
-                     ("user", "secret"))  # fmt: skip
+                     ("user", "secret"))
         arm.connect()
         arm.read()
         target = np.radians(1.0) + np.full(7, TURN * turns)

@@ -35,7 +35,7 @@ def test_the_check_passes_and_the_robot_is_known(folder):
     done = subprocess.run(
         [sys.executable, "-m", "toolkit.cli", "robots", "--check", "panda140", "--json"],
         cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["findings"] == [] and len(found["start_arm_rad"]) == 7

@@ -51,7 +51,7 @@ def followed(tmp_path, monkeypatch):
     m = bundle.manifest
     nodes = [{"name": "adroit", "kind": "source", "alpha": [0.0]}, {"name": "kinova3", "kind": "target", "alpha": list(m.lineage.alpha)}]
     files = {"config": m.run, "tree": {"kind": "steiner", "metric": "l1", "nodes": nodes},
-             "report": {"targets": {"kinova3": {"native": dataclasses.asdict(m.success)}}, "totals": {}, "routes": {}}}  # fmt: skip
+             "report": {"targets": {"kinova3": {"native": dataclasses.asdict(m.success)}}, "totals": {}, "routes": {}}}
     for file, content in files.items():
         (run / f"{file}.json").write_text(json.dumps(content))
     return tmp_path

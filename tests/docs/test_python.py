@@ -17,7 +17,7 @@ def run(script, folder):
     """A script in a file of its own; returns the lines that it printed."""
     (folder / "script.py").write_text(script)
     done = subprocess.run([sys.executable, "script.py"], cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
-                          text=True)  # fmt: skip
+                          text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 

@@ -126,7 +126,7 @@ def test_a_ledger_goes_on_after_a_torn_line_and_refuses_anothers(tmp_path):
 
 def test_the_command(tmp_path, capsys):
     options = ["stress", "kinova3", "--episodes", "1", "--conditions", "delay", "--pairs", "0", "--workers", "1", "--out", str(tmp_path),
-               "--plot", str(tmp_path / "p.png"), "--json"]  # fmt: skip
+               "--plot", str(tmp_path / "p.png"), "--json"]
     main(options)
     found = json.loads(capsys.readouterr().out)
     assert [row["conditions"] for row in found["alone"]] == [{}, *({"delay": float(n)} for n in (1, 2, 3, 4))]
@@ -147,7 +147,7 @@ def test_ranges_go_into_a_bundle_only_from_a_test_of_its_own_policy(tmp_path):
         "policy": hashlib.sha256(b"a policy").hexdigest(), "target": "jaco", "task": "pick", "episodes": 20,
         "ranges": {"delay": {"low": 0.0, "high": 2.0, "unit": "steps", "nominal": 0.0, "meaning": "late"}},
         "alone": [{"conditions": {}}, *({"conditions": {"delay": float(n)}} for n in (1, 2, 3))],
-    }  # fmt: skip
+    }
     (tmp_path / "result.json").write_text(json.dumps(result))
     held = Held("delay", "steps", "late", 0.0, 0.0, 2.0, 0.0, 3.0, 20)
     assert holds_of(tmp_path, policy, "jaco", "pick") == (held,)

@@ -47,7 +47,7 @@ def test_json_keeps_its_contract():
     assert {k: record[k] for k in ("target", "env", "episodes", "successes", "success_rate", "diverged", "seed")} == {
         "target": "jaco", "env": "merged", "episodes": 4, "successes": 1, "success_rate": 0.25, "diverged": 2,
         "seed": 7,
-    }  # fmt: skip
+    }
     assert len(record["ci95"]) == 2
 
 

@@ -155,7 +155,7 @@ class Killed(Exception):
 def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     """With recorded teachers, whose demonstrations pull the updates; killed before cloning, in both rounds of visits, in an update."""
     config = ExpertConfig(demonstrations=3, copies=1, trials=3, rounds=2, mastered=1.5, visits=2, updates=2,
-                          cloning=CloningConfig(epochs=2), npg=NpgConfig(batch_size=2))  # fmt: skip
+                          cloning=CloningConfig(epochs=2), npg=NpgConfig(batch_size=2))
     asked = []
 
     def teachers():

@@ -92,7 +92,7 @@ NONSENSE = {
     "deep": framed(b'{"do":' * 100_000), "not utf-8": framed(b'{"do": "\xff\xfe"}'),
     "a long number": framed(b'{"do": ' + b"9" * 9000 + b"}"),
     "empty": framed(b""), "zeros": bytes(5000),
-}  # fmt: skip
+}
 """After these the client is sent away."""
 ODD = {
     "no do": asked(), "unknown": asked(do="dance"), "a list to do": asked(do=["read"]), "seed text": asked(do="begin", seed="x"),
@@ -108,7 +108,7 @@ ODD = {
     "a huge number": framed(json.dumps({"do": "send", "command": osc()}).replace('"grip": 0.0', '"grip": ' + "9" * 400).encode()),
     "no unit quaternion": asked(do="send", command={**osc(form="pose", target=[0.4, 0, 0.4, 0, 0, 0, 0], rate=[0] * 6),
                                                     "waypoints": [[0.4, 0, 0.4, 1, 0, 0, 0]]}),
-}  # fmt: skip
+}
 """These are refused by a sentence, and the client is served on."""
 
 
@@ -268,7 +268,7 @@ FOREIGN = {
     "deep": framed(b"[" * 50_000), "no description": asked(number=1), "odd entries": asked(number=1, colour="red"),
     "names that are none": asked(number=1, robot=3, joints=[1], fingers=[], forms=["osc"], rate_hz="fast"),
     "late": asked(number=0, robot="kinova3"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FOREIGN)
@@ -323,7 +323,7 @@ def test_an_address_of_the_sixth_version_is_taken():
     (("--port", "65536"), "port is 65536"), (("--port", "-1"), "port is -1"), (("--port", "99999999999"), "port is 99999999999"),
     (("--host", "no.such.host.invalid"), "cannot be listened on"), (("--host", "x" * 300), "cannot be listened on"),
     (("--host", "203.0.113.7", "--port", "5005"), "cannot be listened on"),
-])  # fmt: skip
+])
 def test_a_port_that_cannot_be_listened_on_is_named(capsys, options, said):
     with pytest.raises(SystemExit) as stop:
         main(["twin", "kinova3", *options])
@@ -346,7 +346,7 @@ def test_a_host_without_an_address_is_refused_without_patience():
 
 def test_the_command_outlives_stray_clients_too():
     process = subprocess.Popen([sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", "lockstep"], stdout=subprocess.PIPE,
-                               text=True, cwd=ROOT)  # fmt: skip
+                               text=True, cwd=ROOT)
     try:
         port = int(process.stdout.readline().rsplit(":", 1)[1])
         for content in (NONSENSE["http"], NONSENSE["bad json"], ODD["seed text"], NONSENSE["2 GiB"]):

@@ -26,7 +26,7 @@ def test_a_shipped_bundles_task_is_the_one_of_its_name(name):
 @pytest.mark.parametrize("change, said", [
     ({"goal_offset": (0.0, 0.0, 0.2)}, "goal_offset_m"), ({"horizon": 100}, "horizon_steps"), ({"goal_tolerance": 0.1}, "goal_tolerance_m"),
     ({"control_frequency": 10.0}, "policy_hz"),
-])  # fmt: skip
+])
 def test_a_bundle_of_another_task_of_the_same_name_is_refused(change, said):
     """Its label would be compared with what was measured on something else."""
     bundle = load_bundle("kinova3")

@@ -123,7 +123,7 @@ def urdf(native):
         model = robot.model
         driven = {robot.robot.gripper.joints[role] for role in robot.robot.gripper.targets}
         text = robot_urdf(bundle.mjcf, bundle.manifest, couplings(model, driven, {model.joint(j).name: plain(model.joint(j).name)
-                                                                                  for j in range(model.njnt)}))  # fmt: skip
+                                                                                  for j in range(model.njnt)}))
         return pin.buildModelFromXML(text), text, robot
 
     return make
@@ -190,7 +190,7 @@ def test_followers_stand_where_mujocos_couplings_want_them(urdf, name, count):
     model, data = robot.model, robot.data
     at = {plain(model.joint(j).name): int(model.jnt_qposadr[j]) for j in range(model.njnt)}
     followers = {joint.get("name"): joint.find("mimic").attrib for joint in ET.fromstring(text.split("\n", 1)[1]).iter("joint")
-                 if joint.find("mimic") is not None}  # fmt: skip
+                 if joint.find("mimic") is not None}
     assert len(followers) == model.neq == count
     said = {name: (row["joint"], float(row["multiplier"]), float(row["offset"])) for name, row in followers.items()}
     for joint in {leader for leader, _, _ in said.values()} - set(said):

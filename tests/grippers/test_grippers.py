@@ -77,7 +77,7 @@ def test_the_friction_that_adroit_loses_is_a_hundredth_of_its_servos_at_most(han
 
 def test_adroit_has_22_finger_joints_and_no_wrist(hand):
     joints = [hand.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in range(hand.njnt)
-              if hand.joint(j).name.startswith(GRIPPER_PREFIX)]  # fmt: skip
+              if hand.joint(j).name.startswith(GRIPPER_PREFIX)]
     assert len(joints) == 22, f"{len(joints)} finger joints"
     assert set(joints) == set(COMMANDED_ROLES) == set(ADROIT.joints)
 

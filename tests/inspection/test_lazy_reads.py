@@ -40,7 +40,7 @@ HARM = {
     "its head alone": (lambda b: b[:12], "is cut off"),
     "another file": (lambda b: b"PNG" + b[3:], "is not a Rerun recording"),
     "nothing": (lambda b: b"", "is not a Rerun recording"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", HARM)
@@ -137,7 +137,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
 
 @pytest.mark.parametrize("state", [
     {}, {"updates": 3}, {"updates": [], "rounds": 0, "cloned": True, "card": {}, "records": 0, "rng": {}, "rows": 0},
-])  # fmt: skip
+])
 def test_an_experts_checkpoint_of_another_version(tmp_path, state):
     from toolkit.expert.training import ExpertConfig, _Training, learner_tensors, new_learner
 

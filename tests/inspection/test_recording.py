@@ -57,7 +57,7 @@ def run(small, policy, tmp_path_factory):
     witness = Witness(folder, TASKS["061_foam_brick"].miss)
     mean = MeanActor(policy)
     plants = {"evolve": lambda alpha: merged_plant(small.merged, alpha, *small.merged.new()),
-              "settle": lambda alpha: native_plant(ROBOTS["jaco"], small.task)}  # fmt: skip
+              "settle": lambda alpha: native_plant(ROBOTS["jaco"], small.task)}
     for second, (event, stage, before, after, seeds) in enumerate(
         [("moved", "evolve", start, half, (11, 12)), ("moved", "evolve", half, end, (11,)), ("arrived", "settle", end, end, (11,))]
     ):
@@ -223,7 +223,7 @@ def test_contacts_and_signals_of_a_film(rows):
 def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
     """With no time at all, curves and ways are told, and of every path the landmarks at the end; a rebuild plays the rest."""
     story = Story(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, 1e-9,
-                  Run.open(known.folder).read_metrics())  # fmt: skip
+                  Run.open(known.folder).read_metrics())
     cost = story.finish()
     kept = landmarks([(phase, take) for phase in load_phases(known.folder).values() for take in phase.takes])
     assert 2 <= cost.drawn == len(kept) <= cost.known == 4 and 0 < SHARE <= 0.03
@@ -299,7 +299,7 @@ def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, known, pa
     file, out = rebuilt[0], tmp_path / f"{page}.rrd"
     at = excerpt.moment_of(file, None, page)
     assert at == (max(row["iteration"] for row in rows["/learning/sim_epochs"] if "iteration" in row) if page == "learning" else
-                  pytest.approx(max(seconds(row) for own in rows.values() for row in own if "film" in row), abs=1e-6))  # fmt: skip
+                  pytest.approx(max(seconds(row) for own in rows.values() for row in own if "film" in row), abs=1e-6))
     at = at if page == "learning" else 0.5 * at
     excerpt.excerpt(file, page, at, shows.page_layout(known.folder, file, page, True), out)
     assert not capfd.readouterr().err, "nothing to warn of, as entities that hold nothing yet"
@@ -366,7 +366,7 @@ def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
     records = (stuck / "metrics.jsonl").read_text().splitlines(keepends=True)
     (stuck / "metrics.jsonl").write_text("".join(records[:2]))
     played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
-                   MeanActor(known.policy), 11, known.merged.space.betas[1])]  # fmt: skip
+                   MeanActor(known.policy), 11, known.merged.space.betas[1])]
     policies = [known.policy] * len(played)
     witness = Witness(stuck, TASKS["061_foam_brick"].miss, {"path 1": 1})
     witness.saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
@@ -431,7 +431,7 @@ def test_two_runs_stand_side_by_side(tmp_path, known):
 
 def test_the_tree_is_laid_out_to_scale():
     nodes = [{"name": name, "kind": kind, "alpha": alpha} for name, kind, alpha in
-             [("s", "source", [0, 0, 0]), ("m", "meta", [1, 0, 0]), ("t", "target", [1, 1, 0]), ("u", "target", [1, 0, 3])]]  # fmt: skip
+             [("s", "source", [0, 0, 0]), ("m", "meta", [1, 0, 0]), ("t", "target", [1, 1, 0]), ("u", "target", [1, 0, 3])]]
     edges = [{"from": "s", "to": "m", "length": 1.0}, {"from": "m", "to": "t", "length": 1.0}, {"from": "m", "to": "u", "length": 3.0}]
     plan = Plan({"nodes": nodes, "edges": edges})
     assert plan.places["s"][0] == 0 and plan.places["m"][0] == pytest.approx(250) and plan.places["u"][0] == pytest.approx(1000)
@@ -450,7 +450,7 @@ def test_paths_are_named_as_a_transfer_names_them():
     named = Plan(json.loads((folder / "tree.json").read_bytes())).paths
     assert len(named) == len({record["path"] for record in records}) and named[0] == "path 1"
     nodes = [{"name": name, "kind": kind, "alpha": [x]} for name, kind, x in
-             [("s", "source", 0), ("t", "target", 1), ("u", "target", -1), ("v", "target", 2)]]  # fmt: skip
+             [("s", "source", 0), ("t", "target", 1), ("u", "target", -1), ("v", "target", 2)]]
     edges = [{"from": start, "to": end, "length": 1.0} for start, end in (("s", "t"), ("s", "u"), ("t", "v"))]
     assert Plan({"nodes": nodes, "edges": edges}).paths == ["path 1.1", "path 1.1.1", "path 1.1.2", "path 1.2"], (
         "s forks: 1 has nothing to do; 1.1 to t, which is a target, so that it parts; 1.2 to u"
@@ -518,7 +518,7 @@ def test_without_the_viewer_a_sentence_says_how_to_have_it():
         "from toolkit.quiet import silence_robosuite; silence_robosuite(); import toolkit.transfer.pipeline; main(['view', 'run.rrd'])"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
-                          text=True)  # fmt: skip
+                          text=True)
     assert done.returncode == 2, done.stderr
     assert done.stderr == "meta-evolve: the Rerun viewer is not installed; pip install 'meta-evolve[viewer]'\n"
 

@@ -42,9 +42,9 @@ def finished(small, tmp_path_factory):
     native = {"successes": 31, "episodes": 40, "success_rate": 0.775, "ci95": [0.63, 0.88]}
     totals = {"train_iterations": 3, "sim_epochs": 36, "check_episodes": 16, "diverged": 0}
     robot = {"grip_n": 9.0, "balance": 1.0, "height_mm": None, "opening_mm": 90.0, "closing_steps": 4.0, "clearance_mm": 20.0,
-             "tracking": 0.0, "script": None}  # fmt: skip
+             "tracking": 0.0, "script": None}
     edge = {"from": "adroit", "to": "jaco", "robots": [{"share": 0.0, **robot}, {"share": 1.0, **robot}],
-            "violations": [{"share": 0.5, "quantity": "grip_n", "value": 2.0, "allowed": [7.0, None], "cause": None}]}  # fmt: skip
+            "violations": [{"share": 0.5, "quantity": "grip_n", "value": 2.0, "allowed": [7.0, None], "cause": None}]}
     made.write_json("audit", {"verdict": "audit: 1 of 1 edges lead through worse robots", "edges": [edge]})
     made.write_json("report", {"targets": {"jaco": {"native": native, "merged": native}}, "totals": totals, "wall_s": 180.0,
                              "time": {"wall_s": 120.0}})
@@ -106,7 +106,7 @@ def test_a_browser_shows_it(written, tmp_path, width):
     probe.write_text(written.read_text(encoding="utf-8").replace("</body>", script + "</body>"), encoding="utf-8")
     command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
                f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},900", "--virtual-time-budget=4000", "--dump-dom",
-               probe.as_uri()]  # fmt: skip
+               probe.as_uri()]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout
     title = re.search(r"<title>(.*?)</title>", shown).group(1)
     assert re.fullmatch(r"wide 0 bad 0 pictures [4-9]", title), title
@@ -210,7 +210,7 @@ def test_primitives_become_closed_surfaces():
 
     kinds = {"box": ([0.1, 0.2, 0.3], 8 * 0.006), "sphere": ([0.1, 0, 0], 4 / 3 * np.pi * 1e-3),
              "capsule": ([0.1, 0.2, 0], np.pi * 0.01 * 0.4 + 4 / 3 * np.pi * 1e-3), "cylinder": ([0.1, 0.2, 0], np.pi * 0.01 * 0.4),
-             "ellipsoid": ([0.1, 0.2, 0.3], 4 / 3 * np.pi * 0.006)}  # fmt: skip
+             "ellipsoid": ([0.1, 0.2, 0.3], 4 / 3 * np.pi * 0.006)}
     spec = mujoco.MjSpec()
     for name, (size, _) in kinds.items():
         spec.worldbody.add_geom(name=name, type=getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}"), size=size)

@@ -35,7 +35,7 @@ def at_home(tmp_path, monkeypatch):
 def other(code):
     """Another process, which has run some code and now waits."""
     process = subprocess.Popen([sys.executable, "-c", code + "\nprint('there', flush=True)\nimport time\ntime.sleep(600)"],
-                               stdout=subprocess.PIPE, text=True)  # fmt: skip
+                               stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline().strip() == "there"
     return process
 
@@ -139,7 +139,7 @@ def test_resuming_twice_is_refused_at_once(tmp_path, capsys, command):
 
     asked = Entry(targets=("kinova3",), episodes=40, expert=f"adroit-{BRICK}-wide-recordings")
     config = asked.job("quick").config() if command[0] == "transfer" else {
-        "source": "adroit", "task": BRICK, "demos": None, "frame_rate": 25.0, "seed": 0, "updates": 6, "demonstrations": 160}  # fmt: skip
+        "source": "adroit", "task": BRICK, "demos": None, "frame_rate": 25.0, "seed": 0, "updates": 6, "demonstrations": 160}
     Run.create(tmp_path / "r", config).end()
     holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
     try:
@@ -258,7 +258,7 @@ def test_an_export_that_fails_leaves_an_earlier_bundle_whole(tmp_path, task, mon
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
     lineage = Lineage("adroit", ("kinova3",), (0.0,), "steiner", "l1", 0, 0)
     arguments = (load_expert("adroit", TASKS["061_foam_brick"])[0], ROBOTS["kinova3"], task, {}, lineage,
-                 Success(1, 1, 1.0, (0.2, 1.0), 0, "x"))  # fmt: skip
+                 Success(1, 1, 1.0, (0.2, 1.0), 0, "x"))
 
     def fail(*_):
         raise OSError(28, "No space left on device")

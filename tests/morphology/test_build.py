@@ -284,7 +284,7 @@ def farthest_apart(merged, fast, name, seed):
         if (name, seed) == ("panda", 1) else (name, seed)
         for name in ROBOTS for seed in (0, 1)
     ],
-)  # fmt: skip
+)
 def test_the_merged_robot_follows_the_same_commands(merged, native_fast, name, seed, record_property):
     """In free space, gripper open."""
     worst = 1e3 * farthest_apart(merged, native_fast(name), name, seed)

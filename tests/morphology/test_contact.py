@@ -16,7 +16,7 @@ def gap(centre, turn, size, box):
     """Of one shape whose link stands at the start."""
     one = np.zeros(1, int)
     distance, where, _, _ = gap_of(np.eye(3)[None], np.zeros((1, 3)), one, one, centre[None], turn[None], size[None], np.array([box]),
-                                   np.ones(1), PUSH, np.zeros(3), HALF)  # fmt: skip
+                                   np.ones(1), PUSH, np.zeros(3), HALF)
     return distance, where
 
 

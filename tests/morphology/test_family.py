@@ -17,7 +17,7 @@ CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
 COMPARED = (
     "body_pos", "body_quat", "body_mass", "body_ipos", "geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "jnt_range",
     "actuator_ctrlrange", "dof_armature", "dof_M0", "dof_invweight0", "body_subtreemass", "body_invweight0", "site_pos",
-)  # fmt: skip
+)
 
 
 def merge(family):

@@ -29,7 +29,7 @@ def torques_by_hand(hold, stop, slack, gear, cost, curve, q, p):
     return np.array([
         -(energy(q + step, p) - energy(q - step, p)) / (2 * step),
         -(energy(q, p + step) - energy(q, p - step)) / (2 * step),
-    ])  # fmt: skip
+    ])
 
 
 @given(q=st.floats(0.0, 0.8), p=st.floats(-0.6, 0.6))
@@ -57,7 +57,7 @@ def test_a_known_linkage_is_found_again(hold, stop, slack, stiff):
     np.testing.assert_allclose(
         linkage._torques(found, way, q, p), linkage._torques(truth, curve, q, p), atol=0.02,
         err_msg=f"found {found}, true {truth}",
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("knuckle", [0.4, 0.8, 1.6])

@@ -74,7 +74,7 @@ def test_the_start_lies_within_every_merged_limit(matching, name):
     """Zero is the start posture; a joint may rest against its soft stop, a degree beyond, and no further."""
     system = matching.systems[matching.names.index(name)]
     beyond = {slot.name: float(max(joint.limits[0], -joint.limits[1]))
-              for slot, joint in zip(matching.slots, system.joints, strict=True) if joint is not None}  # fmt: skip
+              for slot, joint in zip(matching.slots, system.joints, strict=True) if joint is not None}
     worst = max(beyond, key=beyond.get)
     assert beyond[worst] < np.deg2rad(1), f"{name} {worst}: starts {beyond[worst]:.3f} rad beyond its limit"
 
@@ -165,7 +165,7 @@ def test_theta_at_beta_is_what_the_matching_read(space, name):
         wanted = {
             "anchor": joint.screw.anchor, "com": joint.screw.com, "mass": joint.screw.mass, "limits": joint.limits,
             "damping": joint.damping, "armature": joint.armature, "start_target": start_target,
-        }  # fmt: skip
+        }
         for key, value in wanted.items():
             np.testing.assert_allclose(
                 got[key], value, rtol=1e-9, atol=1e-9, err_msg=f"{space.matching.slots[row].name}.{key}"
@@ -264,7 +264,7 @@ def test_names_are_unique_and_say_where_each_robot_stands(space):
 @pytest.mark.parametrize(
     "value, sentence", [(1.5, r"alpha\[3\] = 1.5 lies outside \[0, 1\]"), (-0.1, r"alpha\[3\] = -0.1 lies"),
                         (np.nan, r"alpha\[3\] = nan"), (np.inf, r"alpha\[3\] = inf")],
-)  # fmt: skip
+)
 def test_an_alpha_outside_the_space_is_named(space, value, sentence):
     alpha = np.full(space.size, 0.9)
     alpha[3] = value
@@ -304,7 +304,7 @@ def test_gyration_gives_the_inertia_back(mass, radii, turn):
 
 
 @given(masses=st.tuples(*[st.floats(1e-3, 10.0)] * 2), roots=st.tuples(*[st.tuples(*[st.floats(-0.3, 0.3)] * 6)] * 2),
-       share=st.floats(0.0, 1.0))  # fmt: skip
+       share=st.floats(0.0, 1.0))
 def test_between_two_links_lies_a_possible_link(masses, roots, share):
     """Principal moments are positive and obey the triangle inequality, wherever two gyrations are mixed."""
     mix = (1 - share) * np.array(roots[0]) + share * np.array(roots[1])

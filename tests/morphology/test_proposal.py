@@ -94,7 +94,7 @@ def test_where_the_card_overrules_is_known(matching):
         ("jaco", "joint_pinky"): ("MFJ2", "RFJ2"), ("jaco", "joint_pinky_distal"): ("MFJ0", "RFJ1"),
         ("kinova3", "left_inner_finger_joint"): ("THJ2", "THJ1"),
         ("iiwa", "left_inner_finger_joint"): ("THJ2", "THJ1"), ("iiwa", "right_inner_finger_joint"): ("FFJ0", "FFJ1"),
-    }  # fmt: skip
+    }
 
 
 # -- and overruled -------------------------------------------------------------------------------------------

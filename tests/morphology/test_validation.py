@@ -201,7 +201,7 @@ def test_two_robots_with_one_name_are_refused(tmp_path, monkeypatch):
         (with_gripper(targets={"FFS": (0.04, 0.0)}), "actuator 'gripper_finger_joint2' drives role THS, which has no target; add"),
         (with_gripper(welded={"FFJ1": "left_tip"}), "role FFJ1 is welded to body 'left_tip', which its model has not .* finger_joint1_tip"),
     ],
-)  # fmt: skip
+)
 def test_other_mistakes_are_named(robot, sentence):
     only_finding(robot, sentence)
 
@@ -218,7 +218,7 @@ def test_a_card_that_does_not_load_is_one_sentence_on_the_command_line(tmp_path,
     card = (tmp_path / "robots" / "panda.py").read_text().replace('name="panda"', 'name="my panda"').replace("PANDA =", "MINE =")
     (tmp_path / "robots" / "mine.py").write_text(card)
     done = subprocess.run([sys.executable, "-m", "toolkit.cli", "robots"], capture_output=True, text=True, cwd=tmp_path,
-                          env=os.environ | {"PYTHONPATH": str(tmp_path)})  # fmt: skip
+                          env=os.environ | {"PYTHONPATH": str(tmp_path)})
     assert done.returncode == 2, done.stderr
     assert "a card in robots/ or grippers/ does not load: robot name 'my panda' is not an identifier" in done.stderr
     assert "Traceback" not in done.stderr

@@ -92,7 +92,7 @@ def test_all_hands_have_the_same_parts(task, name):
     for size in ("nbody", "njnt", "ngeom", "nu", "ntendon", "nsite", "nsensor", "npair", "nv", "nq"):
         assert getattr(source, size) == getattr(model, size), size
     for field in ("geom_type", "geom_contype", "geom_conaffinity", "jnt_type", "jnt_axis", "actuator_gainprm", "actuator_biasprm",
-                  "tendon_range", "pair_geom1", "dof_damping", "dof_armature"):  # fmt: skip
+                  "tendon_range", "pair_geom1", "dof_damping", "dof_armature"):
         np.testing.assert_array_equal(getattr(source, field), getattr(model, field), field)
     hand = {b for b in range(source.nbody) if source.body(source.body_weldid[b]).name != "world"}
     changed = np.flatnonzero((source.body_pos != model.body_pos).any(1) | (source.body_mass != model.body_mass))

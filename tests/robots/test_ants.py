@@ -19,7 +19,7 @@ TORSO, SHOULDER, HIP, FRONT, HIND = range(5)
 SHARES = {
     "ant": (0, 0, 0, 0, 0), "ant-1": (0.5, 0, 0, 0.5, 0.5), "ant-2": (1, 0.5, 0, 0.5, 0.5), "ant-3": (1, 1, 0, 0.5, 0.5),
     "ant-4": (0.5, 0, 1, 1, 0.5), "ant-5": (0.5, 0.5, 1, 1, 0.5), "ant-6": (0.5, 0, 1, 1, 1), "ant-1b": (0.5, 0, 0, 0.5, 0),
-}  # fmt: skip
+}
 """Torso, shoulder, hip, front and hind legs of each robot, 1 the greatest change."""
 PRESET_A, PRESET_B = NAMES[:7], ["ant", "ant-1b", *NAMES[2:7]]
 
@@ -168,7 +168,7 @@ def test_no_meta_robot_shortens_the_tree_of_the_six():
     assert [node.name for node in tree.nodes if node.kind == "meta"] == []
     edges = {(tree.nodes[edge.start].name, tree.nodes[edge.end].name): edge.length for edge in tree.edges}
     assert edges == pytest.approx({("ant", "ant-1"): 1.5, ("ant-1", "ant-2"): 1.0, ("ant-2", "ant-3"): 0.5, ("ant-1", "ant-4"): 1.5,
-                                   ("ant-4", "ant-5"): 0.5, ("ant-4", "ant-6"): 0.5})  # fmt: skip
+                                   ("ant-4", "ant-5"): 0.5, ("ant-4", "ant-6"): 0.5})
     assert tree_of(PRESET_A, "independent").length == pytest.approx(17.0)
 
 

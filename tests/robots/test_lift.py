@@ -20,7 +20,7 @@ def square_on():
     return UniformRandomSampler(
         name="sampler", x_range=(0.0, 0.0), y_range=(0.0, 0.0), rotation=0.0, ensure_object_boundary_in_range=False,
         ensure_valid_placement=False, reference_pos=(0, 0, 0.8), z_offset=0.01,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(("arm", "gripper", "rate"), ARMS, ids=[f"{arm}-{gripper}" for arm, gripper, _ in ARMS])
@@ -28,7 +28,7 @@ def test_the_cube_is_lifted(arm, gripper, rate):
     env = suite.make(
         "Lift", robots=arm, gripper_types=gripper, horizon=1000, has_renderer=False, has_offscreen_renderer=False,
         use_camera_obs=False, ignore_done=True, initialization_noise=None, placement_initializer=square_on(),
-    )  # fmt: skip
+    )
     try:
         observed = env.reset()
         start = float(observed["cube_pos"][2])

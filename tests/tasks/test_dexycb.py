@@ -94,7 +94,7 @@ def test_cameras_agree_about_the_hand(standin):
 
 def test_missing_hands_and_objects_are_nan(one):
     edit_npz(one / only(one) / "pose.npz", lambda a: (a["pose_y"].__setitem__((3, 0), [0, 0, 0, 1, 0, 0, 0]),
-                                                      a["pose_y"].__setitem__((4, 0), 0)))  # fmt: skip
+                                                      a["pose_y"].__setitem__((4, 0), 0)))
     for serial in SERIALS:
         edit_npz(label(one, 5, serial), lambda a: a["joint_3d"].fill(-1))
     recording = read_recording(one, only(one))
@@ -227,7 +227,7 @@ def test_a_mesh_gives_size_and_table(one):
 
 
 @pytest.mark.parametrize("text, said", [("", "at least 4"), ("v 1 2\nv 1 2 3\n", "v x y z|at least 4"), ("v a b c\n", "v x y z"),
-                                        ("v 0 0 0\nv 70 0 0\nv 0 80 0\nv 0 0 30\n", "metres"), ("v nan 0 0\n" * 4, "finite")])  # fmt: skip
+                                        ("v 0 0 0\nv 70 0 0\nv 0 80 0\nv 0 0 30\n", "metres"), ("v nan 0 0\n" * 4, "finite")])
 def test_a_broken_mesh_is_refused(one, text, said):
     folder = one / "models" / "061_foam_brick"
     folder.mkdir(parents=True)
@@ -314,7 +314,7 @@ CASES = {
     "tag in kilometres": (spoil_extrinsics(lambda c: c["extrinsics"].__setitem__("apriltag", [n / (1000 if i % 4 == 3 else 1) for i, n in enumerate(c["extrinsics"]["apriltag"])])), "check apriltag"),  # noqa: E501
     "no rotation": (spoil_extrinsics(lambda c: c["extrinsics"].__setitem__("apriltag", [0.0] * 12)), "not orthonormal"),
     "unknown master": (spoil_extrinsics(lambda c: c.__setitem__("master", "1234")), "master: expected one of the recording's serials"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -329,7 +329,7 @@ def test_what_is_wrong_is_named(one, case):
 @pytest.mark.parametrize("text", [
     "!!python/object/apply:os.system ['touch pwned']", "a: !!python/name:os.system ''", "serials: !!python/object/new:list [1]",
     "a: &a [*a]", "[" * 3000, "{", "serials: [", "\x00", "- a\n- b", "", "a: 1\n a: 2", "? [1]\n: 2",
-])  # fmt: skip
+])
 def test_hostile_yaml_runs_nothing(one, text, monkeypatch):
     monkeypatch.chdir(one)
     (one / only(one) / "meta.yml").write_text(text)

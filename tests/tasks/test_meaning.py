@@ -77,7 +77,7 @@ LAWS = {
     "normalised": (tagged("motor", ctrlrange="0 1"), "has the ctrlrange 0 1, which is no torque limit"),
     "one way": (tagged("motor", ctrlrange="0 87"), "has the ctrlrange 0 87"),
     "millinewtonmetres": (tagged("motor", ctrlrange="-87000 87000"), "no torque limit from 0.1 to 2000 N m"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -117,7 +117,7 @@ def test_limits_in_degrees_are_not_taken_for_radians(arm):
     ((150.0, *ROBOTS["panda"].joint_speeds[1:]), r"joint_speeds\[0\] = 150.0 .*2.6180 rad/s"),
     ((1.0,) * 6, "joint_speeds has 6 numbers, its arm 7"),
     ((-1.0, *ROBOTS["panda"].joint_speeds[1:]), r"joint_speeds\[0\] = -1.0"), ((float("nan"), *ROBOTS["panda"].joint_speeds[1:]), "= nan"),
-])  # fmt: skip
+])
 def test_joint_speeds_are_radians_per_second(speeds, said):
     with pytest.raises(ToolkitError, match=said):
         require_valid(replace(ROBOTS["panda"], joint_speeds=speeds))
@@ -146,7 +146,7 @@ def bundle(request):
 def info_of(bundle, fingers=True):
     manifest = bundle.manifest
     return ArmInfo(manifest.robot.name, tuple(joint.name for joint in manifest.joints), manifest.gripper.joints if fingers else (),
-                   ("osc", "pose", "joint"), 100.0)  # fmt: skip
+                   ("osc", "pose", "joint"), 100.0)
 
 
 def start_of(bundle, fingers=True, **changes):
@@ -154,7 +154,7 @@ def start_of(bundle, fingers=True, **changes):
     wanted = float(np.interp(bundle.manifest.gripper.preshape, bundle.manifest.gripper.command, bundle.manifest.gripper.opening_m))
     state = State(0.0, g["episode_joints"][0], g["episode_object_position"][0], g["episode_object_quaternion"][0], g["episode_goal"],
                   g["episode_fingers"][0] if fingers else None, None if fingers else wanted / bundle.manifest.gripper.opening_m[0],
-                  speeds=np.zeros(7), efforts=np.zeros(7))  # fmt: skip
+                  speeds=np.zeros(7), efforts=np.zeros(7))
     return replace(state, **changes)
 
 
@@ -173,7 +173,7 @@ def test_what_was_recorded_is_plausible(bundle):
     ([1e-3, 0, 0, 0], "implausible", "length 0.001"), ([0, 0, 0, 1], "start_pose", "x, y, z, w; give w first"),
     ([0, 0, 0.1, np.sqrt(0.99)], "start_pose", "more than"), ([np.sqrt(0.5), np.sqrt(0.5), 0, 0], "start_pose", "turned by 1.571"),
     ([1, 0, 0, np.nan], "not_finite", "object_quaternion"),
-])  # fmt: skip
+])
 def test_the_objects_quaternion_is_a_rotation_near_upright_w_first(bundle, quaternion, kind, said):
     fault = begun(bundle, start_of(bundle, object_quaternion=np.array(quaternion, float)))
     assert fault is not None and fault.kind == kind and said in fault.detail, fault
@@ -193,7 +193,7 @@ def test_a_quaternion_that_stops_being_one_holds_the_arm(bundle, quaternion):
     (lambda o, m: -0.2, "implausible", "-0.2"),
     (lambda o, m: float("nan"), "not_finite", "opening is nan"), (lambda o, m: None, "not_finite", "opening is None"),
     (lambda o, m: 0.5 * o, "start_pose", "not within"),
-])  # fmt: skip
+])
 def test_the_opening_is_a_share_of_the_widest(bundle, opening, kind, said):
     right = start_of(bundle, fingers=False).opening
     metres = right * bundle.manifest.gripper.opening_m[0]
@@ -211,7 +211,7 @@ def test_an_opening_that_is_given_the_other_way_round_is_refused(bundle):
 @pytest.mark.parametrize("change, kind", [
     (lambda f: np.degrees(f), "start_pose"), (lambda f: f + 0.4, "start_pose"), (lambda f: f[:-1], "state_shape"),
     (lambda f: np.append(f, 0.0), "state_shape"), (lambda f: f * np.nan, "not_finite"), (lambda f: f[None], "state_shape"),
-])  # fmt: skip
+])
 def test_fingers_are_as_many_and_where_they_start(bundle, change, kind):
     good = start_of(bundle)
     fault = begun(bundle, replace(good, fingers=change(good.fingers)))
@@ -226,7 +226,7 @@ def test_fingers_are_as_many_and_where_they_start(bundle, change, kind):
     ({"object_position": lambda p: p[[2, 0, 1]]}, "from its place|height of"),
     ({"goal": lambda g: g * 1000}, "the goal lies"), ({"goal": lambda g: g - [0, 0, 0.8]}, "the goal lies 0.8"),
     ({"goal": lambda g: g + [0.5, 0, 0]}, "the goal lies 0.5"),
-])  # fmt: skip
+])
 def test_object_and_goal_are_in_metres_in_the_task_frame(bundle, change, said):
     good = start_of(bundle)
     (key, move), = change.items()
@@ -290,7 +290,7 @@ def test_what_is_made_is_sound(made):
 def test_quaternions_w_first_are_told_by_the_labels(hands):
     for name in sequences(hands):
         rewrite(hands / name / "pose.npz", lambda a: a.update(pose_y=np.concatenate([a["pose_y"][..., 3:4], a["pose_y"][..., :3],
-                                                                                     a["pose_y"][..., 4:]], -1)))  # fmt: skip
+                                                                                     a["pose_y"][..., 4:]], -1)))
     assert all("its quaternions w first" in said for said in every(hands))
 
 

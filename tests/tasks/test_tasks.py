@@ -28,7 +28,7 @@ from tasks.pick import (
     PickTask,
     is_lost,
     observe,
-)  # fmt: skip
+)
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import native_env
 from toolkit.simulation.laws import merged_plant
@@ -150,7 +150,7 @@ def test_both_scenes_give_the_object_the_same_inertia_and_free_joint(scenes, nam
 OPTIONS = (
     "timestep", "impratio", "density", "cone", "integrator", "solver", "gravity", "wind", "magnetic", "tolerance",
     "iterations", "ls_iterations", "noslip_iterations", "jacobian", "ccd_iterations", "ccd_tolerance",
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("option", [*OPTIONS, "viscosity"])

@@ -87,7 +87,7 @@ class Toy:
             "path": branch.path, "alpha": branch.alpha, "next": branch.next_alpha, "window": branch.window,
             "stage": branch.stage, "training": max(seeds) < TRAINING_SEEDS, "noisy": noisy,
             "alphas": np.array(alphas), "seeds": list(seeds),
-        }  # fmt: skip
+        }
         self.calls.append(state)
         self.episodes += len(seeds)
         return [self.one(*job) for job in zip(actors, alphas, seeds, strict=True)]
@@ -98,7 +98,7 @@ class Toy:
         return Episode(
             observations=OBSERVATION[None], actions=action[None], rewards=np.array([float(success)]), success=success,
             diverged=False, terminated=True, last_observation=OBSERVATION, alpha=alpha, seed=seed,
-        )  # fmt: skip
+        )
 
     def of(self, training):
         return [call for call in self.calls if call["training"] is training]
@@ -142,7 +142,7 @@ def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=
     quiet = lambda *seen: None  # noqa: E731
     learner = expert() if settings.learner == "npg" else seeing_expert()
     transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, explored,
-                        bends)  # fmt: skip
+                        bends)
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
     if resume:
@@ -1082,7 +1082,7 @@ def test_a_spent_budget_leaves_the_best_policy(tmp_path):
     assert records(transfer, "budget") and len({success for success, _ in measured}) > 2
     best = max(success for success, _ in measured)
     assert any(success == best and np.array_equal(policy.layers().shift, transfer.arrived["near"].layers().shift)
-               for success, policy in measured)  # fmt: skip
+               for success, policy in measured)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])
@@ -1319,7 +1319,7 @@ def test_the_search_goes_with_adaptive_steps():
     "field, value",
     [("threshold", 0.0), ("threshold", 1.2), ("goal", 0.0), ("goal", 85), ("shrink", 0.0), ("shrink", 1.5), ("xi", 0.0),
      ("xi", -0.1), ("xi", math.nan), ("threshold", math.nan)],
-)  # fmt: skip
+)
 def test_shares_and_lengths_are_checked(field, value):
     with pytest.raises(ToolkitError, match=rf"{field} is {value}; give a number in"):
         TransferConfig(**{field: value})
@@ -1329,7 +1329,7 @@ def test_shares_and_lengths_are_checked(field, value):
     "field, value",
     [("check_episodes", 0), ("goal_episodes", 0), ("check_every", 0), ("path_budget", -1), ("step", "leap"), ("seed", -1),
      ("kind", "star"), ("metric", "l3"), ("path", "winding"), ("pull", 0.0), ("pull", math.nan), ("jacobian_episodes", 1)],
-)  # fmt: skip
+)
 def test_the_rest_is_checked_in_the_constructor_too(field, value):
     with pytest.raises(ToolkitError, match=field):
         TransferConfig(**{field: value})

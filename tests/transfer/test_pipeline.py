@@ -84,7 +84,7 @@ def test_the_run_folder_explains_the_run(played, job):
         "audit.json", "config.json", "versions.json", "git.json", "tree.json", "untrained.json", "metrics.jsonl", "report.json",
         "summary.md",
         "recording.rrd", f"{TARGET}.policy.safetensors", "checkpoints/transfer.safetensors",
-    }  # fmt: skip
+    }
     content = json.loads((folder / "config.json").read_text())
     assert content["source"] == "adroit" and content["targets"] == [TARGET] and content["task"] == job.task.name
     assert content["transfer"] == json.loads(json.dumps(asdict(CONFIG)))
@@ -183,7 +183,7 @@ def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypat
     assert not np.array_equal(policy_of(whole).parameters, bent_expert("adroit", job.task)[0].parameters)
     assert report["sim_epochs"] == {"path 1": 12} and report["train_iterations"] == {"path 1": 2}
     kept = [{name: [phase.take(role) and (phase.take(role).seed, phase.take(role).update) for role in ROLES]
-             for name, phase in load_phases(folder).items()} for folder in (whole, killed)]  # fmt: skip
+             for name, phase in load_phases(folder).items()} for folder in (whole, killed)]
     assert kept[0] == kept[1], "a resumed run keeps the same episodes to be seen"
 
 

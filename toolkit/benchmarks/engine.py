@@ -122,7 +122,7 @@ def record(plant: Plant, actor: Actor, seed: int = RECORDED_SEED) -> Stretches:
     return Stretches(
         pick(states), pick(commands), runs(actions), runs(controls).reshape(len(starts), -1, model.nu), plant.goal.copy(),
         float(np.mean(pick(contacts))), float(np.mean(pick(rows))),
-    )  # fmt: skip
+    )
 
 
 def _touches(plant: Plant) -> bool:
@@ -281,7 +281,7 @@ def time_shares(plant: Plant, actor: Actor) -> dict[str, float]:
         "kinematics": (timer.mjTIMER_POS_KINEMATICS,), "inertia": (timer.mjTIMER_POS_INERTIA,),
         "collision": (timer.mjTIMER_POS_COLLISION,), "constraint rows": (timer.mjTIMER_POS_MAKE, timer.mjTIMER_POS_PROJECT),
         "velocity": (timer.mjTIMER_VELOCITY,), "constraint solver": (timer.mjTIMER_CONSTRAINT,),
-    }  # fmt: skip
+    }
     shares = {name: float(sum(total[t] for t in timers) / step) for name, timers in parts.items()}
     microseconds = float(step / stretches.controls.shape[1] / len(stretches.states))
     return shares | {"rest": 1.0 - sum(shares.values()), "microseconds": microseconds}
@@ -406,7 +406,7 @@ def machine_load() -> float:
 def measure_engine(
     robots: Sequence[Robot], merged: MergedRobot, actor: Actor, episodes: int, rounds: int, scale: bool,
     progress: Callable[[str, str], None] = lambda title, detail: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """The contract of ``meta-evolve bench engine --json``.
 
     Args:
@@ -443,7 +443,7 @@ def _measure_robot(
         "ratio_to_bare_mj_step": speed.share, "bare_mj_step_ratio_to_robosuite": speed.bare / speed.robosuite,
         "ratio_of_two_threads": speed.threads, "bare_mj_step_ratio_of_two_threads": speed.bare_threads,
         "contacts": speed.contacts, "rows": speed.rows, "outcomes": dataclasses.asdict(ended),
-    }  # fmt: skip
+    }
 
 
 def _measure_merged(
@@ -456,7 +456,7 @@ def _measure_merged(
         "name": name, "control_steps_per_s": speed.engine, "ratio_to_bare_mj_step": speed.share,
         "ratio_of_two_threads": speed.threads, "bare_mj_step_ratio_of_two_threads": speed.bare_threads,
         "contacts": speed.contacts, "rows": speed.rows, "mj_step": time_shares(make(), actor),
-    }  # fmt: skip
+    }
 
 
 def _measure_scale(merged: MergedRobot, actor: Actor, progress: Callable[[str, str], None]) -> dict[str, Any]:
@@ -500,7 +500,7 @@ def performance_page(found: dict[str, Any], command: str) -> str:
         "| robot | control steps/s | of bare mj_step | of env.step | bare of env.step | two threads | bare on two threads | contacts "
         "| qpos off in 2 s | observation off | same endings |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     lines += [
         f"| {r['name']} | {r['control_steps_per_s']:.0f} | {r['ratio_to_bare_mj_step']:.2f} | {r['ratio_to_robosuite']:.1f} x "
         f"| {r['bare_mj_step_ratio_to_robosuite']:.1f} x | {r['ratio_of_two_threads']:.2f} x "
@@ -512,7 +512,7 @@ def performance_page(found: dict[str, Any], command: str) -> str:
     parts = [part for part in found["merged"][0]["mj_step"] if part != "microseconds"]
     lines += ["", "## The merged robot, and where its mj_step spends the time", "",
               f"| F(beta) of | control steps/s | of bare mj_step | us per mj_step | rows | {' | '.join(parts)} |",
-              "|---|---|---|---|---|" + "---|" * len(parts)]  # fmt: skip
+              "|---|---|---|---|---|" + "---|" * len(parts)]
     lines += [
         f"| {r['name']} | {r['control_steps_per_s']:.0f} | {r['ratio_to_bare_mj_step']:.2f} | {r['mj_step']['microseconds']:.0f} "
         f"| {r['rows']:.0f} | {' | '.join(_percent(r['mj_step'], parts))} |"
@@ -522,5 +522,5 @@ def performance_page(found: dict[str, Any], command: str) -> str:
         lines += ["", "## Episodes", "", "| environments | threads | D | episodes/s |", "|---|---|---|---|"]
         lines += [f"| {row['environments']} | {row['threads']} | {row['D']} | {row['episodes_per_s']:.1f} |" for row in scale["episodes"]]
         lines += ["", f"F(alpha) is included; it takes {1e3 * scale['morph_s']:.1f} ms per episode. An environment takes "
-                  f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, and there is one per thread, whatever the batch."]  # fmt: skip
+                  f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, and there is one per thread, whatever the batch."]
     return "\n".join(lines) + "\n"

@@ -51,7 +51,7 @@ MEMORY = 1 << 31
 EXTREMES = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 2**63 - 1, 2**64 - 1)
 WORDS = (b"0", b"-1", b"1e400", b"-1e308", b"NaN", b"Infinity", b"9" * 400, b"9" * 5000, b'"x"', b"null", b"true", b"[]", b"{}", b"[[[]]]",
          b'"../../x"', b'""', b"'", b"\\", b"&", b"<", b"[" * 3000, b"\xff\xfe", b"\x00", b"1.5", b"10000000000000", b"'<f8'", b"'|O'",
-         b"'<U9999999'", b"(((((")  # fmt: skip
+         b"'<U9999999'", b"(((((")
 """In place of numbers and words of a text."""
 _TOKEN = re.compile(rb'-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|"[^"\\]{0,60}"|\w+|[{}\[\](),:=<>]')
 
@@ -420,7 +420,7 @@ def _report_of() -> dict[str, Any]:
         "routes": {"path 1": ["s", "a"]}, "totals": dict.fromkeys(("train_iterations", "sim_epochs", "check_episodes", "diverged"), 3),
         "wall_s": 3.0, "time": {"wall_s": 2.0, "learn_s": 1.0, "outside_playing": 0.1}, "kind": "steiner", "metric": "l1",
         "step": "adaptive", "path": "straight", "source": "s", "task": "t", "seed": 0,
-    }  # fmt: skip
+    }
 
 
 def _run_of(folder: Path) -> Run:
@@ -463,7 +463,7 @@ def _log(folder: Path, bundle: Path) -> Sample:
     g = whole.golden
     for number, turn in zip(range(6), rehearse(whole, "osc"), strict=False):
         state = State(0.0, g["episode_joints"][number], g["episode_object_position"][number], g["episode_object_quaternion"][number],
-                      g["episode_goal"])  # fmt: skip
+                      g["episode_goal"])
         tick = turn()
         tick.times |= {"read": 0.0, "send": 0.0}
         log.tick(0, number, state, tick, tick.command, False)
@@ -501,5 +501,5 @@ FORMATS: dict[str, Callable[[Path, Path], Sample]] = {
     "deployment.jsonl": _log, "meta.yml": _recording("*/*/meta.yml", TEXT),
     "extrinsics.yml": _recording("calibration/extrinsics_*/extrinsics.yml", TEXT), "pose.npz": _recording("*/*/pose.npz", NPZ),
     "labels.npz": _recording("*/*/*/labels_000005.npz", NPZ), "mesh.obj": _mesh, "recording.rrd": _rrd,
-}  # fmt: skip
+}
 """Format -> its sound file, made in a folder with the help of a bundle."""

@@ -156,7 +156,7 @@ class Comparison:
 def compare_metrics(
     engine: RolloutEngine, policy: GaussianPolicy, source: Terminal, targets: Sequence[Terminal], robots: int, episodes: int,
     seed: int, progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Comparison:  # fmt: skip
+) -> Comparison:
     """Measure weights, by rollouts at the source and by capability at every robot, judge the expert on random robots, and compare."""
     weights = np.empty(source.alpha.size)
     for d, weight in enumerate(sensitivities(engine.merged, policy, source.alpha)):
@@ -169,7 +169,7 @@ def compare_metrics(
     results = []
     for name, scale in (
         ("L1", np.ones_like(weights)), ("weighted L1", weights), ("L1, root of weights", np.sqrt(weights)), ("L1 by capability", able),
-    ):  # fmt: skip
+    ):
         start, *goals = weighted([source, *targets], scale)
         tree = evolution_tree(start, goals)
         first = tree.next_meta().meta_alpha / np.maximum(scale / scale.mean(), 1e-12)

@@ -115,7 +115,7 @@ def _native_side(robot: Robot, task: PickTask) -> Side:
         geoms = [] if role is None else [
             g for g in range(model.ngeom)
             if _link(model, int(model.geom_bodyid[g]), body_of.values()) == body_of[role] and _is_pad(model, g)
-        ]  # fmt: skip
+        ]
         if geoms:
             pads[finger] = geoms[-1]
     thumb = [body for role, body in body_of.items() if role.startswith("TH")]

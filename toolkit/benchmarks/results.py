@@ -167,7 +167,7 @@ def write_results(folder: Path, title: str, command: str) -> Path:
         "## On the way", "", f"![Success measured on the way]({folder.name}/curves.png)", "",
         "Each point is one measurement of the mean action's success on the next robot of the path; a point below the line means that "
         "the step was halved, or that training began there.", "",
-    ]  # fmt: skip
+    ]
     try:
         page.write_text("\n".join(lines), encoding="utf-8")
     except OSError as error:
@@ -190,11 +190,11 @@ def results_json(runs: Sequence[Result]) -> dict[str, Any]:
         costs = {key: [run.report["totals"][key] for run in group] for key in COSTS}
         rows.append({"method": method, "task": task, "targets": targets, "seeds": len(group)}
                     | {key: _mean_sd(values) for key, values in costs.items()}
-                    | {"success": {target: _pooled(group, target) for target in targets}})  # fmt: skip
+                    | {"success": {target: _pooled(group, target) for target in targets}})
         alone = {key: _alone(first, runs, key) for key in COMPARED} if first.shares else {}
         if alone and None not in alone.values():
             ratios.append({"tree": method, "independent": f"independent, {first.terms[-1]}", "task": task, "targets": targets}
-                          | {key: alone[key] / np.mean(costs[key]) if any(costs[key]) else None for key in COMPARED})  # fmt: skip
+                          | {key: alone[key] / np.mean(costs[key]) if any(costs[key]) else None for key in COMPARED})
     return {"rows": rows, "ratios": ratios}
 
 
@@ -219,7 +219,7 @@ def success_table(runs: Sequence[Result]) -> list[str]:
     """Markdown rows: successes of every run on each target."""
     targets = _targets(runs)
     lines = ["| run | task | " + " | ".join(f"{markdown(t)}, unmodified | {markdown(t)}, F(beta)" for t in targets) + " |",
-             "|---|---|" + "---|---|" * len(targets)]  # fmt: skip
+             "|---|---|" + "---|---|" * len(targets)]
     for run in runs:
         cells = []
         for target in targets:
@@ -232,7 +232,7 @@ def success_table(runs: Sequence[Result]) -> list[str]:
 def cost_table(runs: Sequence[Result]) -> list[str]:
     """Markdown rows: cost per method and task, mean and standard deviation over seeds, beside the paper's."""
     lines = ["| method | task | seeds | training iterations | simulation epochs | checking episodes | wall time [min] |",
-             "|---|---|---|---|---|---|---|"]  # fmt: skip
+             "|---|---|---|---|---|---|---|"]
     for (method, task, targets), group in _groups(runs).items():
         cells = [_spread([run.report["totals"][key] for run in group]) for key in COSTS]
         wall = _spread([run.report["time"]["wall_s"] / 60 for run in group], digits=1)
@@ -246,7 +246,7 @@ def cost_table(runs: Sequence[Result]) -> list[str]:
 def sharing_table(runs: Sequence[Result]) -> list[str]:
     """Markdown rows: each tree whose targets all have independent paths of the same task, metric and steps, and the ratio to those."""
     lines = ["| run | targets | training iterations | independent | ratio | simulation epochs | independent | ratio |",
-             "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+             "|---|---|---|---|---|---|---|---|"]
     for run in runs:
         cells = []
         for key in COMPARED:
@@ -344,7 +344,7 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
                 panel.barh(i, count, left=left, color=f"C{k}", edgecolor="black", linewidth=0.5, hatch=_HATCHES[k % len(_HATCHES)])
                 left += count
         panel.set(xlabel=f"{label}, by path", ylim=(len(runs) - 0.4, -0.6), yticks=range(len(runs)),
-                  yticklabels=[run.name for run in runs])  # fmt: skip
+                  yticklabels=[run.name for run in runs])
     _save(figure, file)
 
 

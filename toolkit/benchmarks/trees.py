@@ -73,4 +73,4 @@ def time_trees(
             yield Timing(
                 count, metric, *map(min, zip(*times, strict=True)), tree.length, tree.lower_bound,
                 max(0.0, 1 - tree.lower_bound / tree.length), tree.optimal, best, None if best is None else tree.length / best - 1,
-            )  # fmt: skip
+            )

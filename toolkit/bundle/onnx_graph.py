@@ -157,7 +157,7 @@ def _graph(policy: "GaussianPolicy", action_map: ActionMap, record: Mapping[str,
 def peer_words(
     joints: Sequence[str], stiffness: Sequence[float], damping: Sequence[float], positions: Sequence[float], observations: Sequence[str],
     scale: Sequence[float], path: str,
-) -> dict[str, str]:  # fmt: skip
+) -> dict[str, str]:
     """metadata_props by the keys that Isaac Lab's and mjlab's exporters of policies use, lists separated by commas as there.
 
     Numbers are written so that they read back to the bit; the peers round them to three digits.
@@ -170,7 +170,7 @@ def peer_words(
         path: where the policy comes from.
     """
     rows = {"joint_names": joints, "joint_stiffness": stiffness, "joint_damping": damping, "default_joint_pos": positions,
-            "command_names": (), "observation_names": observations, "action_scale": scale}  # fmt: skip
+            "command_names": (), "observation_names": observations, "action_scale": scale}
     told = {key: ",".join(one if isinstance(one, str) else repr(float(one)) for one in row) for key, row in rows.items()}
     return {"run_path": path, **told}
 

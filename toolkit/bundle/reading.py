@@ -214,7 +214,7 @@ def golden_shapes(manifest: Manifest) -> dict[str, tuple[int, ...]]:
         "episode_joints": (steps, arm), "episode_fingers": (steps, len(manifest.gripper.joints)),
         "episode_object_position": (steps, 3), "episode_object_quaternion": (steps, 4), "episode_goal": (3,),
         "episode_command": (steps,), "episode_observations": (steps, n), "episode_actions": (steps, act),
-    }  # fmt: skip
+    }
 
 
 def read_golden(content: bytes, manifest: Manifest, where: str) -> dict[str, np.ndarray]:
@@ -229,7 +229,7 @@ def read_golden(content: bytes, manifest: Manifest, where: str) -> dict[str, np.
     except ArrayError as error:
         named = f"golden array {error.key!r}" if error.key else "the file"
         raise ToolkitError(f"{where} is damaged: {named} is not as the manifest says (expected {error.expected}, found {error.found}); "
-                           "export the bundle again") from None  # fmt: skip
+                           "export the bundle again") from None
 
 
 def _error(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -270,4 +270,4 @@ def check_bundle(bundle: Bundle) -> dict[str, Any]:
         **{f"{name}_max_abs_error": error for name, error in errors.items()}, "tolerance": manifest.golden.tolerance,
         "golden_ok": worst <= manifest.golden.tolerance,
         "limits_ok": inside and bool(np.isnan([bundle(row) for row in broken]).all()),
-    }  # fmt: skip
+    }

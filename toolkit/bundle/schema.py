@@ -39,7 +39,7 @@ def _kind(kind: Any, found: dict[str, Any]) -> dict[str, Any]:
             found[kind.__name__] = {
                 "description": inspect.getdoc(kind), "type": "object", "required": names, "additionalProperties": False,
                 "properties": {name: _kind(hints[name], found) for name in names},
-            }  # fmt: skip
+            }
         return {"$ref": f"#/$defs/{kind.__name__}"}
     if origin is tuple:
         return {"type": "array", "items": _kind(arguments[0], found)}

@@ -62,7 +62,7 @@ def check_signature(content: bytes, signature: bytes | None, key: Path, where: s
         done = _run(["-Y", "verify", "-f", str(allowed), "-I", SIGNER, "-n", NAMESPACE, "-s", str(detached)], content)
     if done.returncode:
         raise ToolkitError(f"{where} is not as the holder of {key} signed it ({_why(done)}); get it anew from its maker, or give the key "
-                           "of who signed it")  # fmt: skip
+                           "of who signed it")
 
 
 def _run(arguments: list[str], content: bytes) -> subprocess.CompletedProcess:

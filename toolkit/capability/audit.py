@@ -44,7 +44,7 @@ REFINED = 4
 QUANTITIES = {
     "grip_n": "grip force", "balance": "balance", "height_mm": "height of the grip", "opening_mm": "opening",
     "closing_steps": "closing time", "script": "the script",
-}  # fmt: skip
+}
 """Quantity of a capability -> what it is called."""
 
 
@@ -122,7 +122,7 @@ class Violation:
         """As plain numbers; an open limit is null."""
         plain = lambda x: round(float(x), 4) if np.isfinite(x) else None  # noqa: E731
         return {"share": round(self.share, 4), "quantity": self.quantity, "value": plain(self.value),
-                "allowed": [plain(x) for x in self.allowed], "cause": self.cause}  # fmt: skip
+                "allowed": [plain(x) for x in self.allowed], "cause": self.cause}
 
     def sentence(self) -> str:
         """In words, for a table and for a run's report."""
@@ -147,7 +147,7 @@ class Edge:
             "from": self.way.start, "to": self.way.end, "first": self.way.ahead, "lead": self.way.lead, "reserve": self.reserve,
             "robots": [{"share": round(share, 4), **robot.to_json()} for share, robot in sorted(self.robots.items())],
             "violations": [violation.to_json() for violation in self.violations],
-        }  # fmt: skip
+        }
 
     @property
     def broken(self) -> float:
@@ -241,7 +241,7 @@ class Audit:
     def __init__(
         self, merged: MergedRobot, robots: int = 17, episodes: int = 4, scripted: int = 4, causes: bool = True,
         brief: bool = False, threads: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if robots < 2 or episodes < 0 or scripted < 1:
             raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
         self.merged, self.count, self.episodes, self.scripted, self.causes = merged, robots, episodes, scripted, causes
@@ -320,7 +320,7 @@ class Audit:
         the other."""
         first, last = self._pool.map(self._one, (way.first, way.last))
         scale = {"grip_n": max(first.grip_n, last.grip_n, 1.0), "balance": 1.0, "height_mm": 4 * HEIGHT_MM,
-                 "opening_mm": max(first.opening_mm, last.opening_mm, 1.0)}  # fmt: skip
+                 "opening_mm": max(first.opening_mm, last.opening_mm, 1.0)}
         changes = {name: (getattr(last, name) - getattr(first, name)) / size for name, size in scale.items()}
         name = max(changes, key=lambda key: abs(changes[key]))
         length = float(np.linalg.norm(way.last - way.first))
@@ -386,7 +386,7 @@ class Audit:
 def run_audit(
     merged: MergedRobot, ways: Sequence[Way], progress: Callable[[str, int, int], None] = lambda name, done, total: None,
     bend: bool = False, **options: Any,
-) -> list[Edge]:  # fmt: skip
+) -> list[Edge]:
     """Audit every way; see ``Audit`` for the options. ``progress`` is told the edge, how many are done, of how many.
 
     ``bend``: where a straight way breaks the promise, take it with one side of the grasp first if that keeps it better.

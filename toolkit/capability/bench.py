@@ -74,7 +74,7 @@ class Capability:
     def to_json(self) -> dict[str, Any]:
         """As plain numbers, rounded to what they mean."""
         digits = {"grip_n": 2, "balance": 3, "height_mm": 1, "askew_nmm": 1, "opening_mm": 1, "reach_mm": 1, "clearance_mm": 1,
-                  "tracking": 3, "overshoot": 3, "script": 3, "closing_steps": 1}  # fmt: skip
+                  "tracking": 3, "overshoot": 3, "script": 3, "closing_steps": 1}
         out: dict[str, Any] = {}
         for name, number in digits.items():
             value = getattr(self, name)
@@ -196,7 +196,7 @@ class Bench:
             return None
         law = plant.law
         model, data = closed_on_box(plant.model, plant.start, self._arm, self._item, self._fingers, np.zeros,
-                                    law.preshape, self.width, steps=0)  # fmt: skip
+                                    law.preshape, self.width, steps=0)
         state, close = np.full(plant.command.shape, law.preshape), np.ones(plant.command.shape)
         for step in range(LONGEST):
             state = law.advance(state, close)

@@ -14,7 +14,7 @@ from toolkit.errors import ToolkitError
 ROWS = {
     "grip_n": "grip [N]", "balance": "balance", "height_mm": "height [mm]", "opening_mm": "opening [mm]",
     "closing_steps": "closing [steps]", "clearance_mm": "clearance [mm]", "tracking": "tracking", "script": "script",
-}  # fmt: skip
+}
 """Quantity -> label of its row."""
 LINE, BROKEN, BAND = "#0072b2", "#d55e00", "#e8e8e8"
 

@@ -25,7 +25,7 @@ from toolkit.io.quoting import plain, told
 from toolkit.quiet import silence_robosuite
 
 COMMANDS = (robots, match, tree, audit, expert, transfer, evaluate, view, report, morph, replay, export, verify, stress, deploy, twin,
-            doctor)  # fmt: skip
+            doctor)
 app = tyro.extras.SubcommandApp()
 for command in COMMANDS:
     app.command(helped(command))
@@ -67,7 +67,7 @@ def _run(arguments: Sequence[str] | None) -> int | str | None:
         return _refuse(f"{given[0]!r} is no command; {f'did you mean: {told(*near)}' if near else f'{told()} --help lists them'}")
     try:
         app.cli(prog="meta-evolve", description="Transfer a dexterous hand's policy to commercial arms by robot evolution.",
-                args=given or ["--help"], config=HELP)  # fmt: skip
+                args=given or ["--help"], config=HELP)
     except ToolkitError as error:
         return _refuse(str(error))
     except OSError as error:

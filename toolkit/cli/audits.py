@@ -86,6 +86,6 @@ def _show(edges: list) -> None:
             f"{ends[0].grip_n:.0f} to {ends[1].grip_n:.0f}",
             f"{min(r.grip_n for r in inner):.0f} to {max(r.grip_n for r in inner):.0f}",
             f"{min(held):.0%}" if held else "", found,
-        ])  # fmt: skip
+        ])
     columns = ["from", "to", "grip at the ends [N]", "in between [N]", "script, worst", "worst of each kind"]
     table("What the robots in between can do", columns, rows)

@@ -247,18 +247,18 @@ def _show_engine(found: dict) -> None:
            "observation off", "same endings"],
           [[r["name"], f"{r['control_steps_per_s']:.0f}", f"{r['ratio_to_bare_mj_step']:.2f}", f"{r['ratio_to_robosuite']:.1f} x",
             f"{r['ratio_of_two_threads']:.2f} x", f"{r['contacts']:.0f}", f"{r['parity_qpos']:.0e}", f"{r['observation_error']:.0e}",
-            f"{r['outcomes']['same']} of {r['outcomes']['episodes']}"] for r in found["robots"]])  # fmt: skip
+            f"{r['outcomes']['same']} of {r['outcomes']['episodes']}"] for r in found["robots"]])
     parts = list(found["merged"][0]["mj_step"])
     table("Merged robot: where mj_step spends its time", ["F(beta) of", "control steps/s", "of bare mj_step", "rows", *parts],
           [[r["name"], f"{r['control_steps_per_s']:.0f}", f"{r['ratio_to_bare_mj_step']:.2f}", f"{r['rows']:.0f}",
             *(f"{r['mj_step'][part]:.0f} us" if part == "microseconds" else f"{r['mj_step'][part]:.0%}" for part in parts)]
-           for r in found["merged"]])  # fmt: skip
+           for r in found["merged"]])
     scale = found["scale"]
     if scale:
         rows = [[row["environments"], row["threads"], row["D"], f"{row['episodes_per_s']:.1f}"] for row in scale["episodes"]]
         table("Episodes per second, F(alpha) included", ["environments", "threads", "D", "episodes/s"], rows)
         print(f"F(alpha) takes {1e3 * scale['morph_s']:.1f} ms per episode; an environment takes "
-              f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, one per thread.")  # fmt: skip
+              f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, one per thread.")
     machine = found["machine"]
     print(f"{machine['cores']} cores; load {machine['load_before']:.1f} before, {machine['load_after']:.1f} after, this command included.")
 
@@ -311,7 +311,7 @@ def bench_walk(
         emit({"source": source, "task": task, "kind": kind, "metric": metric, "waypoints": [asdict(w) for w in found]}, True, "")
     else:
         table(f"{source}'s expert along the tree", ["from", "to", "share", "successes", "diverged"],
-              [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])  # fmt: skip
+              [[w.start, w.end, f"{w.share:.2f}", f"{w.successes} of {w.episodes}", w.diverged] for w in found])
     if plot is not None:
         from toolkit.benchmarks.results import plot_walk
 
@@ -358,7 +358,7 @@ def bench_tree(
     table(f"Shortest trees over random points, D = {dimensions}",
           ["metric", "robots", "ms", "ms of CPU", "length", "lower bound", "gap", "proven", "above the longer search"],
           [[t.metric.upper(), t.terminals, f"{1e3 * t.seconds:.1f}", f"{1e3 * t.cpu_seconds:.1f}", f"{t.length:.3f}",
-            f"{t.lower_bound:.3f}", f"{t.gap:.1%}", "yes" if t.optimal else "no", excess(t)] for t in found])  # fmt: skip
+            f"{t.lower_bound:.3f}", f"{t.gap:.1%}", "yes" if t.optimal else "no", excess(t)] for t in found])
 
 
 @bench.command(name="metric")
@@ -401,9 +401,9 @@ def bench_metric(
         return
     table("What foretells the untrained expert's failure", ["metric", "rank correlation", "tree", "independent paths", "ratio"],
           [[m.name, f"{m.correlation:.2f}", f"{m.length:.1f}", f"{m.independent_length:.1f}", f"{m.ratio:.2f}"]
-           for m in found.metrics])  # fmt: skip
+           for m in found.metrics])
     print(f"Mean success of the untrained expert on {robots} robots: {found.success:.0%}; "
-          f"weights from {min(found.weights):.2g} to {max(found.weights):.2g} of their mean.")  # fmt: skip
+          f"weights from {min(found.weights):.2g} to {max(found.weights):.2g} of their mean.")
 
 
 @bench.command(name="tick")
@@ -443,7 +443,7 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
         return
     table(f"A tick of {loaded.manifest.robot.name}: medians of its parts and the whole, in ms; load {load:.1f}",
           ["form", "observe", "policy", "command", "half below", "99 % below", "longest"],
-          [[form, *(f"{value:.2f}" for value in row.values())] for form, row in found.items()])  # fmt: skip
+          [[form, *(f"{value:.2f}" for value in row.values())] for form, row in found.items()])
 
 
 @bench.command(name="fuzz")
@@ -472,7 +472,7 @@ def bench_fuzz(
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or files < 1 or seed < 0:
         raise ToolkitError(f"formats are {', '.join(formats) or 'all'}, files {files} and seed {seed}; give at least one file, a seed "
-                           f"from 0 on, and formats of: {', '.join(FORMATS)}")  # fmt: skip
+                           f"from 0 on, and formats of: {', '.join(FORMATS)}")
     found = []
     with Progress("fuzz", quiet=json) as progress:
         shown = lambda name, done: progress.show(name, f"{done} of {files} read", done, files, now=done == files)  # noqa: E731
@@ -482,7 +482,7 @@ def bench_fuzz(
         emit({"seed": seed, "formats": [tally.to_json() for tally in found]}, True, "")
     else:
         table("Damaged files", ["format", "files", "refused by a sentence", "read", "broke the reader", "slowest", "first"],
-              [[t.format, t.files, t.refused, t.read, t.broken.total(), f"{1e3 * t.slowest:.0f} ms", t.first] for t in found])  # fmt: skip
+              [[t.format, t.files, t.refused, t.read, t.broken.total(), f"{1e3 * t.slowest:.0f} ms", t.first] for t in found])
     if any(tally.broken for tally in found):
         raise SystemExit(1)
 
@@ -523,7 +523,7 @@ def bench_faults(
     others = driver == "sim" and (not only or only in ("process", "line", "disk"))
     if not harms and not others:
         raise ToolkitError(f"no fault of driver {driver} is named {only!r}; give a part of its name, or state, stamp, start, order, "
-                           "vendor, process, line or disk")  # fmt: skip
+                           "vendor, process, line or disk")
     with Progress("faults", quiet=json) as progress:
 
         def met(trial: Trial) -> None:
@@ -560,7 +560,7 @@ def bench_faults(
         table(f"{loaded.manifest.robot.name} by the driver {driver}: a bad day",
               ["fault", "form", "must", "noticed as", "ticks", "mm to hold", "mm to rest", "came of it", ""],
               [[t.fault, t.form, t.must, t.seen[:60], "" if t.ticks is None else t.ticks, f"{t.to_hold_mm:.1f}", f"{t.to_rest_mm:.1f}",
-                t.outcome[:80], "met" if t.met else "UNMET"] for t in found])  # fmt: skip
+                t.outcome[:80], "met" if t.met else "UNMET"] for t in found])
         print(f"{len(found) - len(unmet)} of {len(found)} faults met as they must be.")
     if unmet:
         raise SystemExit(1)

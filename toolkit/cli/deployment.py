@@ -31,7 +31,7 @@ OWNER = "META_EVOLVE_TWIN_OWNER"
 
 
 def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, stressed: Path | None = None, sign: Path | None = None,
-           json: bool = False) -> None:  # fmt: skip
+           json: bool = False) -> None:
     """Write a target's policy as a bundle, a folder and a .zip: named observations in, robosuite's own action out.
 
     Args:
@@ -51,9 +51,9 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
     with Progress("export", quiet=json) as progress:
         label = label_of(run, robot, task, policies[target], progress.count(f"{target}, unmodified", LABEL_EPISODES))
         manifest = write_bundle(policies[target], robot, task, content, lineage_of(run, target), label, out,
-                                lambda what: progress.show(f"export {target}", what, now=True), key=sign, holds=holds)  # fmt: skip
+                                lambda what: progress.show(f"export {target}", what, now=True), key=sign, holds=holds)
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
-                                   + told("verify", out))  # fmt: skip
+                                   + told("verify", out))
 
 
 def deploy(
@@ -96,7 +96,7 @@ def deploy(
     """
     if driver != "sim" and not dry_run:
         raise ToolkitError(f"--driver {driver} moves an arm only from Python, with your cameras (docs/deploy.md: A real arm); "
-                           "from the command line add --dry-run")  # fmt: skip
+                           "from the command line add --dry-run")
     if dry_run and (log is not None or (driver != "sim" and connect is not None)):
         raise ToolkitError("a dry run writes no log, and connects to a twin only with --driver sim; leave out --log or --connect")
     if ticks < 1:
@@ -153,7 +153,7 @@ def _deploy(
         raise ToolkitError(f"the twin at {arm.where} {played}, but --pace is {pace}; start it with --pace {pace}, or give its own here")
     runtime = Runtime(bundle, info, form)
     record = TickLog(log, {"robot": manifest.robot.name, "task": manifest.task.name, "form": form, "pace": pace,
-                           "policy_hz": manifest.policy_hz})  # fmt: skip
+                           "policy_hz": manifest.policy_hz})
     outcomes, behind, successes = [], 0.0, 0
     with Progress("deploy", quiet) as progress:
         shown = progress.count(f"{manifest.robot.name} twin", episodes)
@@ -167,7 +167,7 @@ def _deploy(
                 shown(episode + 1, successes)
         except ToolkitError as error:  # the arm's side has gone: say what is known, and that it is not all
             raise ToolkitError(f"episode {len(outcomes) + 1} of {episodes} was not finished, {successes} of the {len(outcomes)} before it "
-                               f"succeeded: {error}") from None  # fmt: skip
+                               f"succeeded: {error}") from None
         finally:
             record.close()
     ticks = np.concatenate([outcome.tick_ms for outcome in outcomes] or [[]])
@@ -181,7 +181,7 @@ def _deploy(
         "late_ticks": sum(outcome.late for outcome in outcomes), "unknown_ticks": sum(outcome.warnings for outcome in outcomes),
         "tick_ms": dict(zip(("p50", "p99", "max"), np.percentile(ticks, [50, 99, 100]).tolist(), strict=True)) if len(ticks) else None,
         "twin_behind_s": behind, "log": str(log) if log else None, "log_trouble": record.trouble or None,
-    }  # fmt: skip
+    }
 
 
 def _deployed(content: dict[str, Any]) -> str:
@@ -189,10 +189,10 @@ def _deployed(content: dict[str, Any]) -> str:
     low, high = content["ci95"]
     lines = [f"{content['target']} twin, {content['form']} commands, {content['pace']}: {content['successes']} of {content['episodes']} "
              f"(95 %: {low:.2f} to {high:.2f}); label {content['label'][0]} of {content['label'][1]}: "
-             f"{'agrees' if content['agrees'] else 'DISAGREES'}"]  # fmt: skip
+             f"{'agrees' if content['agrees'] else 'DISAGREES'}"]
     if content["tick_ms"]:
         lines.append("tick {p50:.2f} ms (99 %: {p99:.2f}, longest {max:.2f})".format(**content["tick_ms"])
-                     + f"; {content['late_ticks']} of {content['ticks']} ticks late, {content['held_ticks']} held")  # fmt: skip
+                     + f"; {content['late_ticks']} of {content['ticks']} ticks late, {content['held_ticks']} held")
     lines += [f"stopped: {reason}" for reason in content["stopped"]]
     if content["log_trouble"]:
         lines.append(f"log: {content['log_trouble']}")
@@ -212,7 +212,7 @@ def start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
             return twin, int(line.rsplit(":", 1)[1])
     status = twin.wait()
     raise ToolkitError(f"the twin did not start (exit status {status}, see above); it needs robosuite: install all of meta-evolve, or "
-                       "give --connect")  # fmt: skip
+                       "give --connect")
 
 
 def _address(text: str) -> tuple[str, int]:

@@ -270,7 +270,7 @@ def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
 def morph(
     out: Path, source: str = "adroit", targets: tuple[str, ...] = TARGETS, task: str = TASK, still: Path | None = None,
     at: float | None = None, size: str = "1600x1000",
-) -> None:  # fmt: skip
+) -> None:
     """Record the source turning into each target along the evolution tree, for the Rerun viewer; no policy is needed.
 
     Args:
@@ -349,7 +349,7 @@ def replay(file: Annotated[Path, tyro.conf.Positional], json: bool = False) -> N
     table(f"{kind} {', '.join(dump.robots)}, {dump.task}, seed {dump.seed}, policy step {dump.step}",
           ["time [s]", "fastest joint", "speed", "contacts", "deepest [mm]", "torque of limit", "warnings"],
           [[f"{row.time:.3f}", row.joint, f"{row.speed:.3g}", row.contacts, f"{1000 * row.penetration:.2f}",
-            f"{row.torque:.0%}" if row.torque == row.torque else "none", " ".join(row.warnings)] for row in found.substeps])  # fmt: skip
+            f"{row.torque:.0%}" if row.torque == row.torque else "none", " ".join(row.warnings)] for row in found.substeps])
     print(("Diverged again: " if found.diverged else "Did not diverge: ") + found.cause)
 
 

@@ -81,7 +81,7 @@ def is_bundle(name: str) -> bool:
 
 
 def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, seed: int = 0, signed_by: Path | None = None,
-           json: bool = False) -> None:  # fmt: skip
+           json: bool = False) -> None:
     """Prove a bundle: files, golden vectors, recorded episode, limits, and success on the unmodified robot against its label.
 
     Args:
@@ -107,7 +107,7 @@ def verify(bundle: Annotated[str, tyro.conf.Positional], episodes: int = 100, se
         "replay_ok": replay_ok, "target": result.target, "episodes": episodes, "successes": result.successes,
         "success_rate": result.success_rate, "ci95": list(result.ci95), "success_ok": success_ok,
         "label": {"successes": label.successes, "episodes": label.episodes, "ci95": list(label.ci95)}, "ok": ok,
-    }  # fmt: skip
+    }
     said = [
         f"golden vectors: errors of {_errors(checked)}, {'ok' if checked['golden_ok'] else 'BROKEN'}",
         f"recorded episode through this machine's kinematics: {max(replayed.values()):.1e}, {'ok' if replay_ok else 'BROKEN'}",

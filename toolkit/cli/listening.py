@@ -125,7 +125,7 @@ def _content(
         "joints": list(joints), "measured": None if last.state is None else [float(v) for v in last.state.joints],
         "command": None if last.command is None else last.command.target.tolist(), "fault": last.fault.detail if last.fault else None,
         "tick_ms": dict(zip(("p50", "p99", "max"), times, strict=True)), "assumed": ASSUMED.get(driver),
-    }  # fmt: skip
+    }
 
 
 def _summary(bundle: "Bundle", driver: str, joints: tuple[str, ...], seen: list["Seen"], counts: dict[str, int]) -> str:
@@ -134,7 +134,7 @@ def _summary(bundle: "Bundle", driver: str, joints: tuple[str, ...], seen: list[
     if last.state is not None and len(last.state.joints) == len(joints):
         start = dict(zip((joint.name for joint in bundle.manifest.joints), bundle.manifest.start.arm_rad, strict=True))
         lines += [f"{name}: {angle:.4f} rad, {np.degrees(angle):.1f} degrees; episodes start at {start[name]:.4f}"
-                  for name, angle in zip(joints, np.asarray(last.state.joints, float), strict=True)]  # fmt: skip
+                  for name, angle in zip(joints, np.asarray(last.state.joints, float), strict=True)]
     held = ", ".join(f"{kind} {count}" for kind, count in counts.items() if kind != "would_send") or "none"
     lines.append(f"{driver}, dry run: {len(seen)} ticks, nothing sent; {counts.get('would_send', 0)} would have been, held for: {held}")
     if driver in ASSUMED:

@@ -48,7 +48,7 @@ def make(
             names = write_standin(
                 out, objects or tuple(OBJECTS), each, seed, frames,
                 lambda done, total: progress.show("recordings", f"{done} of {total} written", done, total, now=done == total),
-            )  # fmt: skip
+            )
         except ValueError as error:
             raise ToolkitError(str(error)) from None
         except OSError as error:
@@ -56,7 +56,7 @@ def make(
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     content = {"root": str(out), "recordings": names, "bytes": size, "synthetic": True}
     emit(content, json, f"{len(names)} synthetic recordings, {size / 1e6:.1f} MB, in {out}; look at them with: "
-                        + told("recordings", "list", out))  # fmt: skip
+                        + told("recordings", "list", out))
 
 
 @recordings.command(name="list")
@@ -86,7 +86,7 @@ def list_recordings(root: Annotated[Path, tyro.conf.Positional], frame_rate: flo
                     "recording": name, "object": recording.object, "side": recording.side, "frames": recording.frames,
                     "seconds": round(recording.frames / frame_rate, 2), "hand_frames": int(recording.hand_seen.sum()),
                     "object_frames": int(recording.object_seen.sum()), "objects": list(recording.objects),
-                })  # fmt: skip
+                })
             except RecordingError as error:
                 broken.append({"recording": name, "error": str(error)})
             progress.show("recordings", f"{done} of {len(names)} read", done, len(names))
@@ -150,7 +150,7 @@ def retarget_recordings(
         "dropped": [{"recording": d.recording, "why": d.why} for d in dropped],
         "broken": [{"recording": b.recording, "error": b.why} for b in (*mine, *broken)],
         "replays_succeeded": sum(d.succeeded for d in shown), "replays": len(shown),
-    }  # fmt: skip
+    }
     if json:
         emit(content, True, "")
     else:
@@ -159,7 +159,7 @@ def retarget_recordings(
         for d in (*dropped, *mine, *broken):
             emit(None, False, f"left out: {d.why}")
         emit(None, False, f"{content['replays_succeeded']} of {len(shown)} replays reach the recorded goal; "
-                          f"{len(shown) - content['replays_succeeded']} fail in physics, {len(dropped)} cannot be followed.")  # fmt: skip
+                          f"{len(shown) - content['replays_succeeded']} fail in physics, {len(dropped)} cannot be followed.")
     if record is not None and shown:
         _film(studio, shown, record)
     if mine:
@@ -173,7 +173,7 @@ def _row(demonstration: "Demonstration") -> list[str]:
         figures["recording"], figures["object"], f"{figures['tip_error_mm']:.1f}", f"{figures['worst_frame_tip_error_mm']:.1f}",
         f"{figures['commanded_tip_error_mm']:.1f}", _ranges(figures["infeasible_frames"]),
         f"reached in {figures['replay_steps']}" if figures["replay_succeeded"] else "failed",
-    ]  # fmt: skip
+    ]
 
 
 def _ranges(frames: Sequence[int]) -> str:
@@ -198,5 +198,5 @@ def _film(studio: "Studio", shown: Sequence["Demonstration"], path: Path) -> Non
             d.recording.name, d.scene.task.object, 1.0 / d.recording.frame_rate, d.scene.joints(d.recording),
             d.scene.object_poses(d.recording), d.hand, d.motion.frames, d.motion.qpos, trace.model, trace.qpos,
             1.0 / d.scene.task.control_frequency, "reaches the goal" if d.succeeded else "fails",
-        ))  # fmt: skip
+        ))
     record_clips(path, clips)

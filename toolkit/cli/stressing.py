@@ -48,7 +48,7 @@ def stress(
     """
     if episodes < 1 or pairs < 0 or (workers is not None and workers < 1):
         raise ToolkitError(f"episodes is {episodes}, pairs {pairs} and workers {workers}; give at least one episode and process, and no "
-                           "fewer than 0 pairs")  # fmt: skip
+                           "fewer than 0 pairs")
     room_for(plot)
     played, robot, task, who = _policy(policy, target)
     import json as js
@@ -74,7 +74,7 @@ def stress(
         "ranges": {name: {"low": low, "high": high, "unit": CONDITIONS[name].unit, "nominal": CONDITIONS[name].nominal,
                           "meaning": CONDITIONS[name].meaning} for name, (low, high) in ranges.items()},
         "alone": [_row(tried) for tried in alone], "pairs": [_row(tried) for tried in together],
-    }  # fmt: skip
+    }
     if out:
         write_atomically(out / "result.json", (js.dumps(content, indent=1) + "\n").encode())
     if plot:
@@ -115,7 +115,7 @@ def _rate(progress: Progress, title: str) -> Any:
         passed, played = time.monotonic() - began, done - first[0] + 1
         left = (total - done) * passed / played
         progress.show(title, f"{done} of {total} episodes, {played / passed:.1f}/s, {left / 60:.0f} min left; {what}", done, total,
-                      now=done == total)  # fmt: skip
+                      now=done == total)
 
     return seen
 
@@ -134,7 +134,7 @@ def _tables(robot: str, alone: list["Tried"], together: list["Tried"], ranges: d
         unit = "" if CONDITIONS[name].unit == "1" else f" {CONDITIONS[name].unit}"
         rows.append([name, f"{low:g} to {high:g}{unit}", "  ".join(values)])
     table(f"{robot}: nominal {nominal.successes} of {nominal.episodes}; holds (success of at least 0.9) where",
-          ["condition", "from, to", f"successes of {nominal.episodes} at"], rows)  # fmt: skip
+          ["condition", "from, to", f"successes of {nominal.episodes} at"], rows)
     if together:
         table("Pairs within these ranges", ["conditions", "success"],
-              [[told_of(t.conditions), f"{t.successes} of {t.episodes}"] for t in sorted(together, key=lambda t: t.rate)])  # fmt: skip
+              [[told_of(t.conditions), f"{t.successes} of {t.episodes}"] for t in sorted(together, key=lambda t: t.rate)])

@@ -31,7 +31,7 @@ def robots(check: str | None = None, json: bool = False) -> None:
         {"name": r.name, "role": "source" if r.source_of_policy else "target", "arm": r.arm,
          "gripper": r.gripper.robosuite_type, "rate": r.gripper.rate, "preshape": r.gripper.preshape}
         for r in known.values()
-    ]  # fmt: skip
+    ]
     if json:
         emit({"robots": rows, "tasks": [*TASKS, *MODEL_TASKS], "broken": broken_cards()}, True, "")
     else:
@@ -129,7 +129,7 @@ def _show_match(matching: "Matching", found: dict) -> None:
     for played in found["expert"]:
         where, (low, high) = "F(beta)" if played["env"] == "merged" else "the robosuite robot", played["ci95"]
         print(f"{found['source']}'s expert on {where}: {played['successes']} of {played['episodes']} episodes succeed "
-              f"(95 % interval {low:.3f} to {high:.3f}).")  # fmt: skip
+              f"(95 % interval {low:.3f} to {high:.3f}).")
     slots = matching.slots
     rows = [
         [slot.name, slots[slot.parent].name if slot.parent >= 0 else "world", *("yes" if s.present(i) else "-" for s in matching.systems)]
@@ -137,11 +137,11 @@ def _show_match(matching: "Matching", found: dict) -> None:
     ]
     origin = lambda pair: "the card overrules" if pair.overridden else "geometry and card agree" if pair.by_card else "geometry"  # noqa: E731
     table("Pairs: which joint is which of the source's, and who says so", ["robot", "its joint", "plays", "geometry proposes", "by"],
-          [[p.robot, p.joint, p.slot, p.proposed or "-", origin(p)] for p in matching.pairs])  # fmt: skip
+          [[p.robot, p.joint, p.slot, p.proposed or "-", origin(p)] for p in matching.pairs])
     table("Matched joints", ["joint", "parent", *names], rows)
     if "theta" in found:
         table("theta", ["parameter", "unit", "dimension", *names],
-              [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())] for p in found["theta"]])  # fmt: skip
+              [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())] for p in found["theta"]])
         table("What the quantities are", ["quantity", "meaning"], list(found["quantities"].items()))
 
 

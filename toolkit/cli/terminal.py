@@ -154,7 +154,7 @@ class Progress:
         self._last = 0.0
         text = lambda what: TextColumn(what, markup=False, table_column=Column(overflow="fold"))  # noqa: E731 - wraps, is never cut
         columns = (text("{task.description}"), BarColumn(), text("{task.fields[detail]}"), TimeElapsedColumn(), TextColumn("left"),
-                   TimeRemainingColumn())  # fmt: skip
+                   TimeRemainingColumn())
         self.bar = Progress(*columns, console=self.console, disable=not self.live)
         self._task = self.bar.add_task(title, total=None, detail="")
 
@@ -232,6 +232,6 @@ class Progress:
             rate = [f"{record['episodes_per_s']:.1f}/s"] if "episodes_per_s" in record else []
             self.show(f"{record['path']} {record['stage']}", ", ".join([record["event"], *state.values(), played, *rate]),
                       record["sim_epochs"], config.path_budget,
-                      now=record["event"] in ("moved", "split", "arrived", "budget"))  # fmt: skip
+                      now=record["event"] in ("moved", "split", "arrived", "budget"))
 
         return seen

@@ -52,7 +52,7 @@ def expert(
     """
     if episodes < 1 or demonstrations < 1 or updates < 0 or seed < 0:
         raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
-                           "least one episode and one demonstration, updates and seed from 0 on")  # fmt: skip
+                           "least one episode and one demonstration, updates and seed from 0 on")
     robot, what = find_robot(source), find_task(task)
     from toolkit.demonstrations.rehearsal import Studio, teachers_for
     from toolkit.evaluation.success import evaluate_compiled, evaluate_native
@@ -63,7 +63,7 @@ def expert(
 
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
-             "updates": updates, "demonstrations": demonstrations}  # fmt: skip
+             "updates": updates, "demonstrations": demonstrations}
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
     if demos is not None and not resume:
         Studio(demos, robot, frame_rate)  # no run folder for recordings that are not there
@@ -82,10 +82,10 @@ def expert(
                 key: evaluate_compiled(policy, robot, t, episodes) if compiled
                 else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
                 for key, t in results.items()
-            }  # fmt: skip
+            }
     shown = [] if demos is None else ["--demos", demos]
     command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--demonstrations", demonstrations,
-                   "--seed", seed)  # fmt: skip
+                   "--seed", seed)
     card |= {"command": command} | {key: result.to_json() for key, result in results.items()}
     kept.write_json("report", card)
     lines = []
@@ -100,7 +100,7 @@ def expert(
     except (OSError, ToolkitError) as error:  # hours of training are not lost with it: --resume with another --out saves them
         emit(card, json, "\n".join([*lines, f"Run folder: {folder}"]))
         raise ToolkitError(f"the expert is trained, but {name} cannot be saved in {out or SHIPPED} ({error}); give another --out, with "
-                           "--resume") from None  # fmt: skip
+                           "--resume") from None
     emit(card, json, "\n".join(lines))
 
 
@@ -183,7 +183,7 @@ def transfer(
     from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
     config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
-                             exploration=exploration)  # fmt: skip
+                             exploration=exploration)
     if episodes is not None and episodes < 1:
         raise ToolkitError(f"episodes is {episodes}; give at least 1")
     bent = "" if path is None else f"{path}-"

@@ -72,10 +72,10 @@ def _show(found: "EvolutionTree", more: dict, kind: str, metric: str) -> None:
     """A tree for people, and what was asked for besides."""
     names = [node.name for node in found.nodes]
     table(f"{kind} tree, {metric.upper()}", ["from", "to", "length"],
-           [[names[e.start], names[e.end], f"{e.length:.2f}"] for e in found.edges])  # fmt: skip
+           [[names[e.start], names[e.end], f"{e.length:.2f}"] for e in found.edges])
     proof = "proven shortest of its kind" if found.optimal else f"no tree is shorter than {found.lower_bound:.2f}"
     print(f"Length {found.length:.2f} ({proof}); independent paths {found.independent_length:.2f}; "
-          f"ratio {found.ratio:.2f}, the saving that the tree promises.")  # fmt: skip
+          f"ratio {found.ratio:.2f}, the saving that the tree promises.")
     columns = ["length", "independent paths", "ratio", "proven"]
     numbers = lambda c: [f"{c['length']:.2f}", f"{c['independent_length']:.2f}", f"{c['ratio']:.2f}", "yes" if c["optimal"] else "no"]  # noqa: E731
     if "growth" in more:

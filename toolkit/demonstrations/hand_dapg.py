@@ -251,7 +251,7 @@ _CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": (
 _LITERALS = {
     "INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT", "STRING", "BINSTRING", "SHORT_BINSTRING",
     "UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BYTEARRAY8",
-}  # fmt: skip
+}
 _STEPS: dict[str, Callable[[_Machine, Any], None]] = {
     "MARK": _Machine.mark, "EMPTY_LIST": _Machine.new_list, "LIST": _Machine.list_of, "TUPLE": _Machine.tuple_of,
     "TUPLE1": lambda machine, _: machine.stack.append(tuple(machine._take(1))),
@@ -262,7 +262,7 @@ _STEPS: dict[str, Callable[[_Machine, Any], None]] = {
     "LONG_BINPUT": _Machine.keep, "MEMOIZE": _Machine.memoize, "GET": _Machine.get, "BINGET": _Machine.get, "LONG_BINGET": _Machine.get,
     "POP": _Machine.pop, "GLOBAL": _Machine.named, "STACK_GLOBAL": _Machine.named_on_stack, "REDUCE": _Machine.call,
     "BUILD": _Machine.build,
-}  # fmt: skip
+}
 _DAMAGED = (EOFError, ValueError, IndexError, KeyError, TypeError, UnicodeError, OverflowError, MemoryError, AttributeError)
 
 
@@ -283,7 +283,7 @@ def read_hand_dapg(path: Path, task: Task) -> Recorded:
         raise ToolkitError(f"{path} cannot be read ({error.strerror}); give a file of demonstrations") from None
     except _Refused as error:
         raise ToolkitError(f"{path} is a pickle with {error}, which could run code when it is loaded; only lists and dictionaries of "
-                           "arrays are read") from None  # fmt: skip
+                           "arrays are read") from None
     except _DAMAGED as error:
         why = str(error).split("\n")[0][:80] or type(error).__name__
         raise ToolkitError(f"{path} is no whole pickle ({why}); fetch it again") from None

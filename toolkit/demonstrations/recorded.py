@@ -53,7 +53,7 @@ def joined(path: Path, task: Task, episodes: Sequence[tuple[np.ndarray, np.ndarr
             raise ToolkitError(f"{path}: episode {k} has {shapes}; give (T, {wanted[0]}) and (T, {wanted[1]}), T at least 1")
         if (observations.shape[1], actions.shape[1]) != wanted:
             raise ToolkitError(f"{path}: episode {k} has {shapes}, but task {task.name} has {wanted[0]} and {wanted[1]} numbers a step; "
-                               "give a file that was recorded in this task")  # fmt: skip
+                               "give a file that was recorded in this task")
         for what, array in (("observations", observations), ("actions", actions)):
             if not np.isfinite(array).all():
                 step, column = np.argwhere(~np.isfinite(array))[0]
@@ -61,7 +61,7 @@ def joined(path: Path, task: Task, episodes: Sequence[tuple[np.ndarray, np.ndarr
     return Recorded(
         np.concatenate([seen for seen, _ in episodes]).astype(float), np.concatenate([done for _, done in episodes]).astype(float),
         np.array([len(seen) for seen, _ in episodes]),
-    )  # fmt: skip
+    )
 
 
 def save_recorded(path: Path, task: Task, recorded: Recorded) -> None:
@@ -75,7 +75,7 @@ def save_recorded(path: Path, task: Task, recorded: Recorded) -> None:
         content, observations=recorded.observations.astype(np.float32), actions=recorded.actions.astype(np.float32),
         lengths=recorded.lengths.astype(np.int64), observation_names=np.array(task.observation_names),
         action_names=np.array(task.action_names),
-    )  # fmt: skip
+    )
     try:
         write_atomically(path, content.getvalue())
     except OSError as error:
@@ -97,7 +97,7 @@ def read_recorded(path: Path, task: Task) -> Recorded:
                     pairs = zip(found, expected, strict=False)
                     odd, right = next((pair for pair in pairs if pair[0] != pair[1]), (len(found), len(expected)))
                     raise ToolkitError(f"{path} was recorded in another task than {task.name}: its {key} have {odd!r} where {right!r} "
-                                       "belongs; give a file that was recorded in this task")  # fmt: skip
+                                       "belongs; give a file that was recorded in this task")
             lengths = arrays.read("lengths", (None,), INTEGERS, largest=1 << 20)
             observations = arrays.read("observations", (None, len(task.observation_names)), FLOATS, largest=LARGEST, finite=False)
             actions = arrays.read("actions", (None, len(task.action_names)), FLOATS, largest=LARGEST, finite=False)
@@ -105,5 +105,5 @@ def read_recorded(path: Path, task: Task) -> Recorded:
         raise ToolkitError(f"{path}: {error}; docs/demonstrations.md says what a file of demonstrations holds") from None
     if not (lengths >= 1).all() or lengths.sum() != len(observations) or len(actions) != len(observations):
         raise ToolkitError(f"{path}: its lengths add up to {lengths.sum():.0f} steps, but it holds {len(observations)} observations and "
-                           f"{len(actions)} actions; write as many of each")  # fmt: skip
+                           f"{len(actions)} actions; write as many of each")
     return joined(path, task, Recorded(observations, actions, lengths.astype(int)).episodes() if len(lengths) else [])

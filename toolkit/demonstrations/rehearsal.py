@@ -49,7 +49,7 @@ class Demonstration:
             "commanded_tip_error_mm": float(1e3 * self.motion.commanded_error.mean()),
             "infeasible_frames": list(self.motion.infeasible), "raised_m": self.motion.raised,
             "replay_succeeded": self.succeeded, "replay_steps": self.steps,
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -373,4 +373,4 @@ def track_of(motion: HandMotion, recording: Recording, scene: Scene, rate: float
     return Track(
         recording.name, position - at(motion.frames, motion.grasp_position), at(motion.frames, turns),
         at(motion.frames, motion.commands), goal - position, lift, scene.task.object.shape == "cylinder",
-    )  # fmt: skip
+    )

@@ -156,7 +156,7 @@ def _shifted(which: int, by: float) -> Callable[[State], np.ndarray]:
 def _gripper(fingers: Callable[[np.ndarray], np.ndarray], opening: float) -> Callable[[list[State], np.random.Generator], State]:
     """Of an arm that reports fingers, other ones; of one that reports an opening, this."""
     return _change(fingers=lambda s: None if s.fingers is None else fingers(s.fingers),
-                   opening=lambda s: None if s.opening is None else opening)  # fmt: skip
+                   opening=lambda s: None if s.opening is None else opening)
 
 
 COMPLAINT = "arm reports a protective stop"
@@ -244,7 +244,7 @@ def harms_for(vendor: Vendor | None) -> tuple[Harm, ...]:
     if vendor is None:
         return HARMS
     return tuple(harm for harm in (*HARMS, *VENDOR_HARMS) if (vendor.clock or harm.layer != "stamp")
-                 and (vendor.complains or harm.name != COMPLAINT))  # fmt: skip
+                 and (vendor.complains or harm.name != COMPLAINT))
 
 
 class Injector:
@@ -377,9 +377,9 @@ def _judged(injector: Injector, outcome: Outcome, form: Form) -> Trial:
     met = {
         "stop": bool(outcome.stopped) and soon, "pass": not outcome.stopped and soon,
         "play": not outcome.stopped, "refuse": not held and bool(outcome.stopped),
-    }[harm.must]  # fmt: skip
+    }[harm.must]
     return Trial(harm.name, harm.layer, form, harm.must, seen, None if first is None else first - onset, 1e3 * to_hold, 1e3 * to_rest,
-                 f"stopped: {outcome.stopped}" if outcome.stopped else "success" if outcome.success else "horizon", bool(met))  # fmt: skip
+                 f"stopped: {outcome.stopped}" if outcome.stopped else "success" if outcome.success else "horizon", bool(met))
 
 
 def trials(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harms: tuple[Harm, ...]) -> Iterator[Trial]:
@@ -401,7 +401,7 @@ STILL, SOON = 0.05, 0.8
 NONSENSE = {
     "a client of HTTP": b"GET / HTTP/1.1\r\n\r\n", "a message of 2 GiB": struct.pack(">I", 2**31) + b"x" * 1000, "zeros": bytes(5000),
     "a message that is no JSON": struct.pack(">I", 5) + b"{nope", "half a message": struct.pack(">I", 100) + b'{"do": ',
-}  # fmt: skip
+}
 
 
 @contextmanager
@@ -522,7 +522,7 @@ def _second(port: int) -> Trial:
     took, served = time.monotonic() - began, not arm.read().fault
     arm.leave()
     return _said("a second client", "line", "pass", heard, f"told after {took:.2f} s, the first served on",
-                 "another client" in heard and took < ANSWER and served)  # fmt: skip
+                 "another client" in heard and took < ANSWER and served)
 
 
 def _bad_order(port: int) -> Trial:
@@ -544,4 +544,4 @@ def _full_disk(bundle: Bundle, port: int) -> Trial:
     log.close()
     arm.leave()
     return _said("log on a full disk", "disk", "play", log.trouble, "success" if outcome.success else outcome.stopped or "horizon",
-                 outcome.success and bool(log.trouble))  # fmt: skip
+                 outcome.success and bool(log.trouble))

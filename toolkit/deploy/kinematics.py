@@ -218,7 +218,7 @@ class JointSolver:
                 mink.CollisionAvoidanceLimit(
                     self.model, [([a], [b]) for a, b in self.pairs], gain=COLLISION_GAIN,
                     minimum_distance_from_collisions=COLLISION_GAP, collision_detection_distance=COLLISION_SIGHT,
-                )  # fmt: skip
+                )
             )
 
     def _far_pairs(self, played: np.ndarray) -> list[tuple[int, int]]:

@@ -61,7 +61,7 @@ class ArmLiveness:
             unseen = _length(self._unseen)
             if unseen > (REPEATED_SLOWLY if self._repeats >= REPEATS else REPEATED):
                 return "frozen_state", (f"no joint has moved by a bit in {self._repeats} ticks, in which the commands sent should have "
-                                        f"moved the arm by {1e3 * unseen:.1f} mm; is the sensor alive, is the arm?")  # fmt: skip
+                                        f"moved the arm by {1e3 * unseen:.1f} mm; is the sensor alive, is the arm?")
             return "", ""
         self._joints, self._unseen, self._repeats = joints.copy(), np.zeros(6), 0
         self._places.append(place.copy())
@@ -75,7 +75,7 @@ class ArmLiveness:
             if length < MOVING or float((weight * wanted) @ moved) > FOLLOWED * length**2:
                 return "", ""
         return "implausible_motion", (f"in {WINDOW} ticks the commands sent should have moved the arm by {1e3 * length:.1f} mm, and less "
-                                      f"than {FOLLOWED:.0%} of it was seen; is it blocked, or are its angles another arm's?")  # fmt: skip
+                                      f"than {FOLLOWED:.0%} of it was seen; is it blocked, or are its angles another arm's?")
 
     def blink(self) -> None:
         """A tick came without a state that could be believed: what the arm did meanwhile is not known."""
@@ -128,12 +128,12 @@ class ObjectLiveness:
             self._noisy = self._noisy and (repeated or float(np.abs(pose[:3] - before[:3]).max()) > NOISE)
         elif self._noisy and self._changes >= SIGNS and self._repeats >= self._longest + LONGER:
             return "object_frozen", (f"the object's pose has not changed by a bit in {self._repeats} ticks, though its noise changed it at "
-                                     f"least every {self._longest + 1} before; is the camera alive?")  # fmt: skip
+                                     f"least every {self._longest + 1} before; is the camera alive?")
         if not (repeated and closed):
             self._closed = None
         elif self._closed is None:
             self._closed = grasp.copy() if float(np.linalg.norm(pose[:3] - grasp)) < TOUCHING else None
         elif (left := float(np.linalg.norm(grasp - self._closed))) > LEFT:
             return "object_frozen", (f"the gripper has closed on the object and moved on by {1e3 * left:.0f} mm, and the object's pose has "
-                                     "not changed by a bit; is the camera alive?")  # fmt: skip
+                                     "not changed by a bit; is the camera alive?")
         return "", ""

@@ -176,7 +176,7 @@ class MockArm:
             self._go()
             efforts = NOISE * self._noise.standard_normal(len(self._joints))
             return State(self._at, self._joints.copy(), self._position.copy(), quaternion_of(self._rotation), self._goal.copy(),
-                         opening=self._opening, speeds=self._rates.copy(), efforts=efforts)  # fmt: skip
+                         opening=self._opening, speeds=self._rates.copy(), efforts=efforts)
 
     def tell(self, state: State) -> None:
         """Report this from now on, whatever is true."""
@@ -251,9 +251,9 @@ def ur_package(arm: MockArm) -> dict[str, types.ModuleType]:
         getTargetMoment=told(lambda s: s.efforts.tolist()), getTimestamp=lambda: arm.report().stamp + DEVICE,
         isConnected=lambda: arm.trouble != "gone", isEmergencyStopped=lambda: False,
         isProtectiveStopped=lambda: bool(arm.report().fault),
-    )  # fmt: skip
+    )
     return {"rtde_control": _module("rtde_control", RTDEControlInterface=Control),
-            "rtde_receive": _module("rtde_receive", RTDEReceiveInterface=lambda hostname: receive)}  # fmt: skip
+            "rtde_receive": _module("rtde_receive", RTDEReceiveInterface=lambda hostname: receive)}
 
 
 def franka_package(arm: MockArm) -> dict[str, types.ModuleType]:
@@ -293,7 +293,7 @@ def franka_package(arm: MockArm) -> dict[str, types.ModuleType]:
                 check()
             state = arm.report()
             return SimpleNamespace(q=state.joints.tolist(), dq=state.speeds.tolist(), tau_J=state.efforts.tolist(),
-                                   time=SimpleNamespace(to_sec=lambda: state.stamp + DEVICE))  # fmt: skip
+                                   time=SimpleNamespace(to_sec=lambda: state.stamp + DEVICE))
 
     class Gripper:
         def __init__(self, host: str) -> None:
@@ -315,7 +315,7 @@ def franka_package(arm: MockArm) -> dict[str, types.ModuleType]:
         "RobotPose": passed, "CartesianState": passed, "JointState": passed, "CartesianMotion": lambda state: ("cartesian", state),
         "JointMotion": lambda state: ("joint", state), "JointStopMotion": lambda: ("stop", None),
         "CartesianStopMotion": lambda: ("stop", None),
-    }  # fmt: skip
+    }
     return {"franky": _module("franky", **content)}
 
 
@@ -372,7 +372,7 @@ def kortex_package(arm: MockArm) -> dict[str, types.ModuleType]:
                     for angle, speed, effort in zip(*columns, strict=False)]  # with a joint missing, angles alone are fewer
             motor = [SimpleNamespace(position=100.0 * (1.0 - state.opening))]
             return SimpleNamespace(base=SimpleNamespace(active_state=kortex.IN_FAULT if state.fault else 7), actuators=rows,
-                                   interconnect=SimpleNamespace(gripper_feedback=SimpleNamespace(motor=motor)))  # fmt: skip
+                                   interconnect=SimpleNamespace(gripper_feedback=SimpleNamespace(motor=motor)))
 
     class Sessions:
         def __init__(self, router: Any) -> None:
@@ -388,7 +388,7 @@ def kortex_package(arm: MockArm) -> dict[str, types.ModuleType]:
     messages = SimpleNamespace(
         JointSpeeds=lambda: SimpleNamespace(joint_speeds=_Repeated()), GRIPPER_POSITION=3, SINGLE_LEVEL_SERVOING=2,
         GripperCommand=lambda: SimpleNamespace(gripper=SimpleNamespace(finger=_Repeated())), ServoingModeInformation=SimpleNamespace,
-    )  # fmt: skip
+    )
     base = Base()
     content = {
         "kortex_api": {}, "kortex_api.autogen": {}, "kortex_api.autogen.client_stubs": {}, "kortex_api.Exceptions": {},
@@ -399,7 +399,7 @@ def kortex_package(arm: MockArm) -> dict[str, types.ModuleType]:
         "kortex_api.Exceptions.KServerException": {"KServerException": ServerError},
         "kortex_api.RouterClient": {"RouterClient": Router, "RouterClientSendOptions": SimpleNamespace},
         "kortex_api.SessionManager": {"SessionManager": Sessions}, "kortex_api.TCPTransport": {"TCPTransport": lambda: transport},
-    }  # fmt: skip
+    }
     return {name: _module(name, **found) for name, found in content.items()}
 
 
@@ -424,7 +424,7 @@ def ros2_package(arm: MockArm) -> dict[str, types.ModuleType]:
             header=SimpleNamespace(stamp=SimpleNamespace(sec=math.floor(seconds), nanosec=int(1e9 * (seconds % 1.0)))),
             name=[told[i] for i in order], position=rows(state.joints, GRIPPER_CLOSED * (1.0 - state.opening)),
             velocity=rows(state.speeds[:known], 0.0), effort=rows(state.efforts[:known], 0.0),
-        )  # fmt: skip
+        )
 
     def speak() -> None:
         if arm.trouble != "gone":
@@ -459,7 +459,7 @@ def ros2_package(arm: MockArm) -> dict[str, types.ModuleType]:
         "builtin_interfaces": {}, "builtin_interfaces.msg": {"Duration": lambda sec, nanosec: sec + 1e-9 * nanosec},
         "sensor_msgs": {}, "sensor_msgs.msg": {"JointState": object}, "trajectory_msgs": {},
         "trajectory_msgs.msg": {"JointTrajectory": SimpleNamespace, "JointTrajectoryPoint": SimpleNamespace},
-    }  # fmt: skip
+    }
     return {name: _module(name, **found) for name, found in content.items()}
 
 
@@ -518,7 +518,7 @@ class MockedDriver:
         robot, joints, nothing = manifest.robot.name, [joint.name for joint in manifest.joints], lambda: None
         if self.name == "ur":
             return UniversalRobots("mock", robot, joints, arm.seen, lambda opening, _: arm.grip(opening),
-                                   lambda: arm.report().opening), nothing  # fmt: skip
+                                   lambda: arm.report().opening), nothing
         if self.name == "franka":
             return Franka("mock", robot, joints, arm.seen, manifest.gripper.opening_m[0]), nothing
         if self.name == "kortex":

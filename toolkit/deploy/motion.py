@@ -370,7 +370,7 @@ class JointMotion(PoseMotion):
         goal = rotation_of(ahead[3:]) @ self.kinematics.start_rotation
         self.joints.advance(self.solver.solve(self.joints.place, ahead[:3], goal))
         return self.command("joint", False, self.joints.place.copy(), self.joints.rate.copy(),
-                            self.joints.waypoints(*before, self.count))  # fmt: skip
+                            self.joints.waypoints(*before, self.count))
 
     def undo(self) -> None:
         """See Motion."""

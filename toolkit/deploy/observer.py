@@ -38,7 +38,7 @@ class Observer:
         self._entries: list[tuple[slice, str]] = []
         position, finger_at, finger_joint, finger_sign, finger_start = 0, [], [], [], []
         known = {"closing_progress": 1, "grasp_position": 3, "grasp_rotation": 3, "object_from_grasp": 3, "object_rotation": 3,
-                 "goal_from_object": 3}  # fmt: skip
+                 "goal_from_object": 3}
         for entry in manifest.observation:
             kind = "finger" if entry.name.startswith("finger/") else entry.name
             if entry.size != {"finger": 1, **known}.get(kind):

@@ -328,7 +328,7 @@ class TickLog:
         row |= {f"{stage}_ms": round(1e3 * tick.times[stage], 4) for stage in STAGES}
         if isinstance(state, State):
             row |= {"age_ms": _listed([1e3 * (row["t"] - state.stamp)])[0], "joints": _listed(state.joints),
-                    "object": _listed(state.object_position)}  # fmt: skip
+                    "object": _listed(state.object_position)}
         row |= {"action": _listed(tick.action), "target": _listed(tick.command.target), "opening": round(tick.command.opening, 5)}
         if isinstance(sent, Command) and sent is not tick.command:
             row["sent"] = _listed(sent.target)
@@ -390,7 +390,7 @@ def replay_golden(bundle: Bundle) -> dict[str, float]:
         state = State(
             0.0, golden["episode_joints"][row], golden["episode_object_position"][row], golden["episode_object_quaternion"][row],
             golden["episode_goal"], golden["episode_fingers"][row],
-        )  # fmt: skip
+        )
         seen.append(observer(state, float(golden["episode_command"][row])))
         acted.append(bundle(seen[-1]))
     return {

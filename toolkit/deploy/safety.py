@@ -130,7 +130,7 @@ class Guard:
         if away.max() > start.tolerance_rad:
             worst = int(away.argmax())
             return Fault("start_pose", f"joint {self.manifest.joints[worst].name} stands {away[worst]:.3f} rad from the start posture, "
-                                       f"more than {start.tolerance_rad}; move the arm to the manifest's start.arm_rad")  # fmt: skip
+                                       f"more than {start.tolerance_rad}; move the arm to the manifest's start.arm_rad")
         if state.speeds is not None and np.abs(state.speeds).max() > START_SPEED:
             speed = float(np.abs(state.speeds).max())
             return Fault("start_pose", f"the arm moves at {speed:.3f} rad/s, more than {START_SPEED}; let it come to rest")
@@ -154,12 +154,12 @@ class Guard:
                 limit = START_FINGER if unit == "rad" else START_JAW
                 if not abs(angle - start.fingers[name]) <= limit:
                     return Fault("start_pose", f"finger joint {name} stands at {angle:.3f} {unit}, not within {limit} of "
-                                               f"{start.fingers[name]:.3f}; open the gripper to the manifest's start.fingers")  # fmt: skip
+                                               f"{start.fingers[name]:.3f}; open the gripper to the manifest's start.fingers")
         elif state.opening is not None:
             wanted = float(np.interp(gripper.preshape, gripper.command, gripper.opening_m)) / gripper.opening_m[0]
             if not abs(state.opening - wanted) <= START_OPENING:
                 return Fault("start_pose", f"the gripper's opening is {state.opening:.3f}, not within {START_OPENING} of {wanted:.3f} "
-                                           "(0 closed, 1 open; not metres, nor the other way round); open it to the preshape")  # fmt: skip
+                                           "(0 closed, 1 open; not metres, nor the other way round); open it to the preshape")
         return None
 
     def _start_object(self, state: State) -> Fault | None:
@@ -169,10 +169,10 @@ class Guard:
         away = np.abs(place[:2] - np.array(task.object_xy_m))
         if away.max() > task.noise_xy_m + START_PLACE:
             return Fault("start_pose", f"the object lies at ({place[0]:.3f}, {place[1]:.3f}) m, {away.max():.3f} from its place "
-                                       f"{task.object_xy_m} in the task frame, more than {task.noise_xy_m + START_PLACE:.3f}")  # fmt: skip
+                                       f"{task.object_xy_m} in the task frame, more than {task.noise_xy_m + START_PLACE:.3f}")
         if abs(place[2] - self._rest) > START_HEIGHT:
             return Fault("start_pose", f"the object's centre is at a height of {place[2]:.3f} m, not within {START_HEIGHT} of "
-                                       f"{self._rest:.3f}")  # fmt: skip
+                                       f"{self._rest:.3f}")
         limit = task.noise_yaw_rad + START_TURN
         turned = _turn(np.asarray(state.object_quaternion, float))
         if turned > limit:
@@ -182,7 +182,7 @@ class Guard:
         off = float(np.abs(goal - place - np.array(task.goal_offset_m)).max())
         if off > START_GOAL:
             return Fault("start_pose", f"the goal lies {off:.3f} m from the object's place plus goal_offset_m {task.goal_offset_m}, more "
-                                       f"than {START_GOAL}")  # fmt: skip
+                                       f"than {START_GOAL}")
         return None
 
     # -- every tick
@@ -199,7 +199,7 @@ class Guard:
         if arm.shape != (n,):
             return Fault("state_shape", f"the state has joints of shape {arm.shape}, not ({n},)")
         for name, value, size in (("object_position", state.object_position, 3), ("object_quaternion", state.object_quaternion, 4),
-                                  ("goal", state.goal, 3)):  # fmt: skip
+                                  ("goal", state.goal, 3)):
             if np.shape(value) != (size,) or not np.isfinite(value).all():
                 return Fault("not_finite", f"the state's {name} is {np.asarray(value).tolist()}")
         fault = self._plausible(state)
@@ -212,12 +212,12 @@ class Guard:
         if lost.any():
             worst = int(lost.argmax())
             return Fault("joint_limit", f"joint {self.manifest.joints[worst].name} reports "
-                                        f"{self.observer.in_order(state.joints)[worst]:.3g} rad, which no encoder counts")  # fmt: skip
+                                        f"{self.observer.in_order(state.joints)[worst]:.3g} rad, which no encoder counts")
         out = (arm < self._low - LIMIT_MARGIN) | (arm > self._high + LIMIT_MARGIN)
         if out.any():
             return Fault("joint_limit", f"joint {self.manifest.joints[int(out.argmax())].name} stands at {arm[out.argmax()]:.3f} rad")
         for kind, values, limit in (("joint_speed", state.speeds, np.maximum(SPEED_MARGIN * self._speed, SLOW)),
-                                    ("effort", state.efforts, (1 + 1e-6) * self._effort)):  # fmt: skip
+                                    ("effort", state.efforts, (1 + 1e-6) * self._effort)):
             if values is None:
                 continue
             if np.shape(values) != (n,):
@@ -248,7 +248,7 @@ class Guard:
             return Fault("not_finite", f"the gripper's opening is {state.opening}, and its fingers are not reported")
         elif not -WIDER <= state.opening <= 1.0 + WIDER:
             return Fault("implausible", f"the gripper's opening is {state.opening:.3g}; it goes from 0 closed to 1 open, and is neither a "
-                                        "percentage nor a width in millimetres")  # fmt: skip
+                                        "percentage nor a width in millimetres")
         return None
 
     def observation(self, observation: np.ndarray) -> Fault | None:
@@ -304,7 +304,7 @@ class Guard:
         lower = motion.form == "osc" or (sinks > SINKING and not ends)
         if fall < 0.0 and lower and lowest < self._clearance:
             return Fault("table_clearance", f"the gripper would come to {lowest - self.manifest.cartesian.table_top_m:.4f} m above "
-                                            f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")  # fmt: skip
+                                            f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")
         if motion.tracking(self._arm) > self.manifest.watch.tracking_rad:
             return Fault("tracking", f"the arm stands {motion.tracking(self._arm):.3f} rad from where it was commanded")
         return None

@@ -160,7 +160,7 @@ def command_to_json(command: Command) -> dict[str, Any]:
     return {
         "form": command.form, "hold": command.hold, "target": command.target.tolist(), "rate": command.rate.tolist(),
         "grip": command.grip, "opening": command.opening, "opening_m": command.opening_m, "waypoints": command.waypoints.tolist(),
-    }  # fmt: skip
+    }
 
 
 def command_from_json(content: dict[str, Any]) -> Command:
@@ -176,7 +176,7 @@ def command_from_json(content: dict[str, Any]) -> Command:
             form=content["form"], hold=content["hold"], target=np.array(content["target"], float),
             rate=np.array(content["rate"], float), grip=float(content["grip"]), opening=float(content["opening"]),
             opening_m=float(content["opening_m"]), waypoints=np.array(content["waypoints"], float),
-        )  # fmt: skip
+        )
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise ToolkitError(f"a command came that is none ({type(error).__name__}: {str(error)[:80]})") from None
     wanted = {"osc": (6,), "pose": (7,)}.get(str(command.form), (command.target.size,))

@@ -78,7 +78,7 @@ CONDITIONS: dict[str, Condition] = {
         Condition("gravity_error", "1", "share of gravity that the controller's compensation misses; negative: gives too much", 0.0,
                   (-0.1, -0.05, 0.05, 0.1)),
     )
-}  # fmt: skip
+}
 
 
 class StressedRobot(NativeRobot):
@@ -101,7 +101,7 @@ class StressedRobot(NativeRobot):
         self._hand = next(b for b in range(model.nbody) if model.body(b).name.startswith(GRIPPER_PREFIX))
         self._table = model.body("table").id
         self._nominal = {name: np.array(getattr(model, name)) for name in ("body_mass", "body_inertia", "body_pos", "geom_friction",
-                                                                           "geom_size", "geom_rbound", "geom_aabb")}  # fmt: skip
+                                                                           "geom_size", "geom_rbound", "geom_aabb")}
         self._rng = np.random.default_rng(0)
         self._seen: deque[np.ndarray] = deque()
 
@@ -169,7 +169,7 @@ class StressedRobot(NativeRobot):
         found = observe(
             fingers, self.law.progress(self.command), data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3),
             seen, turn @ env.object_rotation, env.goal, START_POSITION, START_ROTATION,
-        )  # fmt: skip
+        )
         self._seen.append(found)
         while len(self._seen) > int(self.value("delay")) + 1:
             self._seen.popleft()
@@ -395,7 +395,7 @@ def _played(
                 pool.shutdown(wait=True, cancel_futures=True)
     except BrokenProcessPool:
         raise ToolkitError(f"one of {workers} processes was killed, perhaps for want of memory; free memory, and go on with the same "
-                           "command") from None  # fmt: skip
+                           "command") from None
 
 
 def told_of(conditions: Mapping[str, float]) -> str:

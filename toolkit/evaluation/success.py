@@ -59,7 +59,7 @@ class Evaluation:
         return {
             "target": self.target, "env": self.env, "episodes": self.episodes, "successes": self.successes,
             "success_rate": self.success_rate, "ci95": list(self.ci95), "diverged": self.diverged, "seed": self.seed,
-        }  # fmt: skip
+        }
 
 
 def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, episodes: int, seed: int = 0) -> Evaluation:

@@ -48,4 +48,4 @@ def walk(
             alpha = start.alpha + share * (end.alpha - start.alpha)
             played = engine.play(MeanActor(policy), [alpha] * episodes, seeds)
             yield Waypoint(start.name, end.name, float(share), episodes, sum(e.success for e in played),
-                           sum(e.diverged for e in played))  # fmt: skip
+                           sum(e.diverged for e in played))

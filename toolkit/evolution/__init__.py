@@ -33,4 +33,4 @@ from toolkit.evolution.tree import (
 __all__ = [
     "ARRIVED", "KINDS", "MAX_TERMINALS", "METRICS", "Edge", "EvolutionTree", "Kind", "MetaStep", "Metric", "Node", "Terminal",
     "evolution_tree", "load_points", "next_meta_robot", "plot_tree", "tree_from_points",
-]  # fmt: skip
+]

@@ -76,7 +76,7 @@ def load_expert(source: str, task: Task, name: str | None = None) -> tuple[Gauss
     """
     folder = SHIPPED if name is None or name in shipped_experts() else Path()
     policy_file, value_file = expert_files(source, task.name) if name is None else (
-        folder / f"{name}{POLICY_FILE}", folder / f"{name}.value.safetensors")  # fmt: skip
+        folder / f"{name}{POLICY_FILE}", folder / f"{name}.value.safetensors")
     if name is not None and not policy_file.is_file():
         raise ToolkitError(
             f"there is no expert {name!r}: neither {policy_file} nor one of those that are shipped, {', '.join(shipped_experts())}"

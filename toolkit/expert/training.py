@@ -24,7 +24,7 @@ Script = PickScript | TrackScript
 _NOISE = {
     "finger": 0.3, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.1, "object_from_grasp": 0.01,
     "object_rotation": 0.2, "goal_from_object": 0.03,
-}  # fmt: skip
+}
 OBSERVATION_NOISE = np.concatenate([np.full(size, _NOISE[name.split("/")[0]]) for name, size in OBSERVATION.items()])
 """Standard deviation (n_obs,) of the noise on copied observations, in each entry's own unit."""
 
@@ -140,7 +140,7 @@ def _demonstrate(
 def _visit(
     engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, policy: GaussianPolicy, lessons: _Lessons,
     round_: int, rng: np.random.Generator,
-) -> tuple[_Lessons, float]:  # fmt: skip
+) -> tuple[_Lessons, float]:
     """Let the clone play, add what the teacher would have done where it went (Ross et al. 2011, DAgger); its success."""
     first, half = VISIT_SEEDS + round_ * config.visits, config.visits // 2
     seeds = list(range(first, first + config.visits))
@@ -197,7 +197,7 @@ class _Training:
     def __init__(
         self, engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, policy: GaussianPolicy, value: ValueFunction,
         rng: np.random.Generator, recorded: bool, report: Callable[[dict[str, Any]], None], run: Run | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.engine, self.beta, self.config, self.recorded = engine, beta, config, recorded
         self.policy, self.value, self.rng, self.run = policy, value, rng, run
         self._report, self._records = report, 0
@@ -292,7 +292,7 @@ class _Training:
             self._save_lessons(self.lessons)
         state = {"updates": self.updates, "rounds": self.rounds, "cloned": self.cloned, "card": self.card,
                  "rows": len(self.lessons.seen) if self.recorded else 0, "rng": generator_state(self.rng),
-                 "records": self._records}  # fmt: skip
+                 "records": self._records}
         self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
         if self.recorded and self.cloned and self.updates == 0:
             self._save_lessons(self.lessons.first(self.lessons.shown))  # all that updates need
@@ -311,7 +311,7 @@ class _Training:
             self._take_up(*self.run.load_checkpoint("expert"))
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise ToolkitError(f"the checkpoint in {self.run.path} is damaged, or of another version ({error!r}); start a new run under "
-                               "another --run") from None  # fmt: skip
+                               "another --run") from None
         self.run.truncate_metrics(self._records)
 
     def _take_up(self, tensors: dict[str, np.ndarray], state: dict[str, Any]) -> None:

@@ -98,7 +98,7 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
         for kept, value in (
             (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(tape.qpos)),
             (out.speeds, speeds[1:]), (out.efforts, efforts[1:]), (out.grasp, grasp),
-        ):  # fmt: skip
+        ):
             kept.append(value)
     return Played(out.observations, out.actions, out.qpos, out.speeds, out.efforts, out.grasp, height, succeeded / len(seeds))
 
@@ -125,7 +125,7 @@ def record_episode(plant: Plant, robot: Robot, policy: GaussianPolicy, seed: int
         mujoco.mj_kinematics(model, data)  # after a step, MuJoCo's poses are a substep older than its angles
         observation = plant.observe()
         rows.append((data.qpos[arm].copy(), data.qpos[fingers].copy(), data.xpos[item].copy(), data.xquat[item].copy(),
-                     plant.command[CLOSING].mean(), observation))  # fmt: skip
+                     plant.command[CLOSING].mean(), observation))
         return policy.mean(observation)
 
     episode = play(plant, seen, seed, np.zeros(0))
@@ -173,7 +173,7 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
     data.qpos[model.jnt_qposadr[item] : model.jnt_qposadr[item] + 3] = (3.0, 3.0, 1.0)
     joints, actuators = role_joints(model, robot), role_actuators(model, robot)
     outer = {side: _outermost(model, [joint for role, joint in joints.items() if role.startswith("TH") == (side == "thumb")])
-             for side in ("thumb", "fingers")}  # fmt: skip
+             for side in ("thumb", "fingers")}
     fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
     commands = np.linspace(-1.0, 1.0, GRIPPER_COMMANDS)
     openings, angles = [], []
@@ -194,7 +194,7 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
         joint_units=tuple("m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad" for j in fingers),
         joint_positions=tuple(angles),
         fraction="opening_m / opening_m[0]: 1 open, 0 touching",
-    )  # fmt: skip
+    )
 
 
 def _outermost(model: mujoco.MjModel, joints: list[int]) -> list[int]:

@@ -22,7 +22,7 @@ def holds_of(folder: Path, policy: Path, target: str, task: str) -> tuple[Held, 
     file = folder / "result.json"
     content = read_object(file, "give the folder of a finished stress --out")
     for what, found, wanted in (("policy", content.get("policy"), hashlib.sha256(policy.read_bytes()).hexdigest()),
-                                ("target", content.get("target"), target), ("task", content.get("task"), task)):  # fmt: skip
+                                ("target", content.get("target"), target), ("task", content.get("task"), task)):
         if found != wanted:
             raise ToolkitError(f"{file} is of {what} {str(found)[:12]}, but what is exported is {wanted[:12]}; give its own stress test")
     try:
@@ -31,7 +31,7 @@ def holds_of(folder: Path, policy: Path, target: str, task: str) -> tuple[Held, 
             Held(name, found["unit"], found["meaning"], float(found["nominal"]), float(found["low"]), float(found["high"]),
                  float(min([*tried[name], found["nominal"]])), float(max([*tried[name], found["nominal"]])), content["episodes"])
             for name, found in content["ranges"].items()
-        )  # fmt: skip
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ToolkitError(f"{file} is no result of a stress test ({error!r}); give the folder of a finished stress --out") from None
 
@@ -52,13 +52,13 @@ def lineage_of(run: Path, target: str) -> Lineage:
         source=next((node["name"] for node in tree["nodes"] if node["kind"] == "source"), "unknown"), route=tuple(route),
         alpha=tuple(map(float, alpha)), kind=tree["kind"], metric=tree["metric"],
         train_iterations=int(totals.get("train_iterations", 0)), sim_epochs=int(totals.get("sim_epochs", 0)),
-    )  # fmt: skip
+    )
 
 
 def label_of(
     run: Path, robot: Robot, task: PickTask, policy: GaussianPolicy,
     progress: Callable[[int, int], None] = lambda done, successes: None,
-) -> Success:  # fmt: skip
+) -> Success:
     """Success as the run's report has it, or measured now on LABEL_EPISODES episodes.
 
     Args:
@@ -73,4 +73,4 @@ def label_of(
         found = evaluate_native(policy, robot, task, LABEL_EPISODES, progress=progress).to_json()
         measured = "at export, through robosuite's own step"
     return Success(found["episodes"], found["successes"], float(found["success_rate"]), tuple(map(float, found["ci95"])), found["seed"],
-                   measured)  # fmt: skip
+                   measured)

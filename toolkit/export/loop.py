@@ -31,7 +31,7 @@ from toolkit.bundle.manifest import (
     Starts,
     Stopping,
     Success,
-)  # fmt: skip
+)
 from toolkit.export.datasheet import vector
 from toolkit.morphology.matching import BASE_SITE
 from toolkit.morphology.native_scene import plain_name
@@ -87,7 +87,7 @@ def read_simulation(robot: Robot, task: PickTask, plant: Plant, label: Success) 
         mount_position_m=vector(robot.base_position), osc=_osc(env), actuators=_actuators(env), closing_progress=_progress(plant),
         materials=_materials(env), object_density_kg_m3=float(task.object.mass / task.object.volume), physics=_physics(model, task),
         sampling=_sampling(plant), starts=_starts(task, label), holding=_holding(task), stopping=_stopping(plant),
-    )  # fmt: skip
+    )
 
 
 # ---- the controller --------------------------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ def _osc(env: Pick) -> Osc:
         decoupled=bool(controller.uncoupling), null_space=_null_space(controller.initial_joint), torque_limit_nm=vector(high),
         compensation="gravity and Coriolis torques: MuJoCo's qfrc_bias",
         law=LAW if controller.uncoupling else COUPLED, orientation_error=ORIENTATION_ERROR,
-    )  # fmt: skip
+    )
 
 
 def _null_space(posture: np.ndarray) -> NullSpace:
@@ -158,7 +158,7 @@ def _actuators(env: Pick) -> tuple[Actuator, ...]:
             nonlinearity=float(np.abs(column - straight).max()), stiffness=float(0.0 - model.actuator_biasprm[actuator, 1]),
             damping=float(0.0 - model.actuator_biasprm[actuator, 2]),
             force=vector(model.actuator_forcerange[actuator]) if limited else None,
-        ))  # fmt: skip
+        ))
     return tuple(out)
 
 
@@ -185,7 +185,7 @@ def _materials(env: Pick) -> dict[str, Material]:
         found[plain_name(name)] = Material(
             vector(model.geom_friction[geom]), vector(model.geom_solref[geom]), vector(model.geom_solimp[geom]),
             float(model.geom_margin[geom]), float(model.geom_gap[geom]), int(model.geom_condim[geom]), int(model.geom_priority[geom]),
-        )  # fmt: skip
+        )
     return found
 
 
@@ -197,7 +197,7 @@ def _physics(model: mujoco.MjModel, task: PickTask) -> Physics:
         integrator=word(mujoco.mjtIntegrator, option.integrator, "mjINT_"), cone=word(mujoco.mjtCone, option.cone, "mjCONE_"),
         solver=word(mujoco.mjtSolver, option.solver, "mjSOL_"), iterations=int(option.iterations), tolerance=float(option.tolerance),
         impratio=float(option.impratio), noslip_iterations=int(option.noslip_iterations), gravity_m_s2=vector(option.gravity),
-    )  # fmt: skip
+    )
 
 
 def _sampling(plant: Plant) -> Sampling:
@@ -246,7 +246,7 @@ def _starts(task: PickTask, label: Success) -> Starts:
         draws=("shift_x", "shift_y", "yaw"), low=tuple(0.0 - n for n in noise), high=noise,
         meaning="the object stands upright at object_xy_m + (shift_x, shift_y), turned by yaw about z; the arm always starts alike",
         goal_from="the object's centre at the start of the episode, its shift included, its yaw not", examples=tuple(rows),
-    )  # fmt: skip
+    )
 
 
 def _holding(task: PickTask) -> Holding:
@@ -266,7 +266,7 @@ def _holding(task: PickTask) -> Holding:
     return Holding(
         consecutive=not counts([*short, away, near]), strict=not counts([edge] * task.hold_steps),
         counted="once after every policy step, from where the object is then, at the goal or on its way through it",
-    )  # fmt: skip
+    )
 
 
 def _stopping(plant: Plant) -> tuple[Stopping, ...]:

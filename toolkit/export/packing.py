@@ -25,7 +25,7 @@ from tasks.pick import (
     TABLE_FULL_SIZE,
     TABLE_TOP,
     PickTask,
-)  # fmt: skip
+)
 from toolkit.bundle.manifest import (
     FORMAT,
     FORMAT_VERSION,
@@ -45,7 +45,7 @@ from toolkit.bundle.manifest import (
     Success,
     TaskCard,
     Watch,
-)  # fmt: skip
+)
 from toolkit.bundle.onnx_graph import IR_VERSION, OPSET, ActionMap, export_actor, export_onnx, onnx_max_abs_error, peer_words
 from toolkit.bundle.reading import (
     ACTOR,
@@ -62,7 +62,7 @@ from toolkit.bundle.reading import (
     SCHEMA,
     SIGNATURE,
     URDF,
-)  # fmt: skip
+)
 from toolkit.bundle.schema import manifest_schema
 from toolkit.bundle.signing import sign
 from toolkit.deploy.kinematics import Kinematics
@@ -111,7 +111,7 @@ STEP_MARGIN, STEP_FLOOR = 1.5, 0.2
 """Change of an action entry per tick."""
 JUMP_MARGIN = 3.0
 JUMP_FLOOR = {"finger": 0.15, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.15, "object_from_grasp": 0.03,
-              "object_rotation": 0.3, "goal_from_object": 0.03}  # fmt: skip
+              "object_rotation": 0.3, "goal_from_object": 0.03}
 """Change of an observation entry per tick that is never called a jump, in the entry's unit."""
 
 OBJECT, ARM_PREFIX = "object", "robot0_"
@@ -236,7 +236,7 @@ def write_bundle(
     try:
         with TemporaryDirectory(prefix=".export-", dir=out) as folder:  # an earlier bundle stays whole until this one is
             manifest = _write(policy, robot, task, dict(config), lineage, success, Path(folder), out.name, progress, episodes,
-                              key, holds)  # fmt: skip
+                              key, holds)
             for name in (MANIFEST, SIGNATURE):
                 (out / name).unlink(missing_ok=True)
             for name in (*HASHED, MANIFEST, *([SIGNATURE] if key else [])):
@@ -255,7 +255,7 @@ def _write(
     policy: GaussianPolicy, robot: Robot, task: PickTask, config: dict[str, Any], lineage: Lineage, success: Success, folder: Path,
     name: str, progress: Callable[[str], None], episodes: tuple[int, int], key: Path | None,
     holds: tuple[Held, ...],
-) -> Manifest:  # fmt: skip
+) -> Manifest:
     """All files of the bundle ``name``, and its .zip as ZIPPED, into an empty folder."""
     action_map = gripper_action_map()
     export_onnx(policy, folder / ONNX, action_map, OBSERVATION)  # to be measured; once more below, with its metadata
@@ -265,7 +265,7 @@ def _write(
     export_onnx(policy, folder / FLAT_ONNX, action_map, OBSERVATION, manifest.label(), words, flat=True)
     policy.save(folder / SAFETENSORS)
     export_actor(policy, folder / ACTOR, action_map, {"licence": manifest.licence, "observation_names": words["observation_names"],
-                                                      "action_names": ",".join(ACTION_NAMES)})  # fmt: skip
+                                                      "action_names": ",".join(ACTION_NAMES)})
     files |= {SCHEMA: _json(manifest_schema()), CONFIG: _json(policy_config(manifest))}
     for file, content in files.items():
         write_atomically(folder / file, content)
@@ -293,7 +293,7 @@ def _peer_words(manifest: Manifest) -> dict[str, str]:
         [*start.arm_rad, *(start.fingers[motor.joint] for motor in actuators)], [entry.name for entry in manifest.observation],
         [getattr(manifest.controller, entry.unit.removeprefix("controller."), 1.0) for entry in manifest.action],
         "/".join((*manifest.lineage.route, manifest.task.name)),
-    )  # fmt: skip
+    )
 
 
 def policy_config(manifest: Manifest) -> dict[str, Any]:
@@ -309,7 +309,7 @@ def policy_config(manifest: Manifest) -> dict[str, Any]:
         "observation_names": [f"{entry.name}.{axis}" if entry.size > 1 else entry.name for entry in manifest.observation
                               for axis in ("xyz" if entry.size == 3 else range(entry.size))],
         "action_names": [entry.name for entry in manifest.action], "onnx": FLAT_ONNX, "safetensors": ACTOR,
-    }  # fmt: skip
+    }
 
 
 def _zip_of(out: Path) -> Path:
@@ -330,7 +330,7 @@ def _zipped(folder: Path, bundle: str) -> bytes:
 def _describe(
     policy: GaussianPolicy, robot: Robot, task: PickTask, action_map: ActionMap, onnx: Path, config: dict[str, Any], lineage: Lineage,
     success: Success, progress: Callable[[str], None], episodes: tuple[int, int], holds: tuple[Held, ...],
-) -> tuple[Manifest, dict[str, bytes]]:  # fmt: skip
+) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest without the files' hashes, and the files that are neither policy nor manifest."""
     plant = native_plant(robot, task)
     plant.begin(RECORDED_SEED)
@@ -361,7 +361,7 @@ def _describe(
         lineage=lineage, success=success,
         golden=golden, graph=Graph(OPSET, IR_VERSION, "float32", "action"), versions=_versions(), run=config,
         sha256={}, simulation=simulation, licence=licence(), holds=holds,
-    )  # fmt: skip
+    )
     urdf = robot_urdf(mjcf, manifest, coupled).encode()
     return manifest, {MJCF: mjcf.encode(), URDF: urdf, SCENE: scene.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
 
@@ -407,7 +407,7 @@ def _robot_card(robot: Robot, plant: Plant, flange: str) -> RobotCard:
         base_body=plain_name(model.body(base).name), base_position_m=vector(data.xpos[base]),
         base_quaternion=vector(data.xquat[base]), flange_body=flange,
         tool_position_m=vector(rotation @ (data.site_xpos[site] - data.xpos[hand])), tool_quaternion=vector(tool),
-    )  # fmt: skip
+    )
 
 
 def _base(plant: Plant) -> tuple[bool, np.ndarray, np.ndarray]:
@@ -426,7 +426,7 @@ def _controller(plant: Plant, base: tuple[bool, np.ndarray, np.ndarray], respons
         damping_ratio=float(osc.kd[0] / (2.0 * np.sqrt(osc.kp[0]))), translation_m=float(osc.output_max[0]),
         rotation_rad=float(osc.output_max[3]), base_site=BASE_SITE, base_axis=vector(base[1]), base_anchor_m=vector(base[2]),
         turns_with_first_joint=base[0], response=response,
-    )  # fmt: skip
+    )
 
 
 def _observation(calm: Played, noisy: Played) -> tuple[Observed, ...]:
@@ -438,7 +438,7 @@ def _observation(calm: Played, noisy: Played) -> tuple[Observed, ...]:
         unit, frame, meaning = OBSERVATION_MEANING[kind]
         jump = np.maximum(JUMP_MARGIN * any_step[part], JUMP_FLOOR[kind])
         out.append(Observed(name, size, unit, frame, meaning, vector(rows[:, part].min(axis=0)), vector(rows[:, part].max(axis=0)),
-                            vector(step[part]), vector(jump)))  # fmt: skip
+                            vector(step[part]), vector(jump)))
         at += size
     return tuple(out)
 
@@ -454,7 +454,7 @@ def _action(calm: Played, action_map: ActionMap) -> tuple[Acted, ...]:
         Acted(ACTION_NAMES[i], ACTION_UNITS[i], "controller" if i < 6 else "gripper", meaning[i], -1.0, 1.0, float(allowed[i]),
               float(rows[:, i].min()), float(rows[:, i].max()), float(step[i]))
         for i in range(7)
-    )  # fmt: skip
+    )
 
 
 def _fingers(robot: Robot, plant: Plant) -> dict[str, Finger]:
@@ -463,7 +463,7 @@ def _fingers(robot: Robot, plant: Plant) -> dict[str, Finger]:
     return {
         f"finger/{role}": Finger(robot.gripper.joints[role], float(sign), float(start)) for role, (address, sign, start) in rows
         if address >= 0
-    }  # fmt: skip
+    }
 
 
 def _start(plant: Plant) -> Start:
@@ -476,7 +476,7 @@ def _start(plant: Plant) -> Start:
         fingers={plain_name(model.joint(j).name): float(qpos[model.jnt_qposadr[j]]) for j in fingers},
         grasp_position_m=vector(START_POSITION), grasp_quaternion=vector(quaternion), tolerance_rad=0.05, tolerance_m=0.02,
         tolerance_rotation_rad=0.1,
-    )  # fmt: skip
+    )
 
 
 def _joints(robot: Robot, plant: Plant, calm: Played) -> tuple[Joint, ...]:
@@ -498,7 +498,7 @@ def _joints(robot: Robot, plant: Plant, calm: Played) -> tuple[Joint, ...]:
                 acceleration=float(max(ACCELERATION_MARGIN * push[i], ACCELERATION_FLOOR)),
                 effort=float(np.abs(model.actuator_ctrlrange[by_joint[joint]]).max()), seen_speed=float(speed[i]),
                 seen_acceleration=float(push[i]), seen_effort=float(effort[i]),
-            )  # fmt: skip
+            )
         )
     return tuple(out)
 
@@ -516,7 +516,7 @@ def _cartesian(calm: Played, rate: float) -> Cartesian:
         speed=vector(np.maximum(SPEED_MARGIN * speed, np.repeat(CARTESIAN_SPEED_FLOOR, 3))),
         acceleration=vector(np.maximum(ACCELERATION_MARGIN * push, np.repeat(CARTESIAN_ACCELERATION_FLOOR, 3))),
         lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(calm.clearance - room),
-    )  # fmt: skip
+    )
 
 
 def _watch(calm: Played, task: PickTask) -> Watch:
@@ -547,7 +547,7 @@ def task_card(task: PickTask) -> TaskCard:
         name=task.name, object=shape, object_xy_m=vector(OBJECT_XY), noise_xy_m=task.noise_xy, noise_yaw_rad=float(task.noise_yaw),
         table_top_m=TABLE_TOP, table_size_m=TABLE_FULL_SIZE, goal_offset_m=vector(task.goal_offset), goal_tolerance_m=task.goal_tolerance,
         hold_steps=task.hold_steps, horizon_steps=task.horizon, lost_below_m=LOST_BELOW,
-    )  # fmt: skip
+    )
 
 
 def _versions() -> dict[str, str]:
@@ -571,10 +571,10 @@ def _held(holds: tuple[Held, ...]) -> list[str]:
         return []
     units = ["" if h.unit == "1" else f" [{h.unit}]" for h in holds]
     rows = [f"| {h.meaning}{unit} | {h.nominal:g} | {h.low:g} to {h.high:g} | {h.lowest:g} to {h.highest:g} |"
-            for h, unit in zip(holds, units, strict=True)]  # fmt: skip
+            for h, unit in zip(holds, units, strict=True)]
     return ["## Where it holds", "",
             f"In simulation, each condition alone, {holds[0].episodes} episodes of each value: at least 0.9 of them succeeded there.", "",
-            "| condition | in training | holds from, to | tried from, to |", "|---|---|---|---|", *rows, ""]  # fmt: skip
+            "| condition | in training | holds from, to | tried from, to |", "|---|---|---|---|", *rows, ""]
 
 
 def _readme(manifest: Manifest) -> str:
@@ -610,5 +610,5 @@ def _readme(manifest: Manifest) -> str:
         f"7: the gripper; its sign counts: -1 opens, +1 closes, {m.gripper.rate:g} of the way from -1 to +1 per step. "
         f"Fully open is {1e3 * m.gripper.opening_m[0]:.0f} mm.", "",
         "## Prove this copy", "", "    meta-evolve verify .", "    meta-evolve deploy . --driver sim --episodes 10", "",
-    ]  # fmt: skip
+    ]
     return "\n".join(lines)

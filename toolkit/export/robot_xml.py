@@ -32,11 +32,11 @@ def robot_mjcf(plant: Plant, name: str) -> str:
     for body in robot_bodies(model):
         parent = made.get(int(model.body_parentid[body]), world)
         element = ET.SubElement(parent, "body", name=model.body(body).name.removeprefix("robot0_").removeprefix(GRIPPER_PREFIX),
-                                pos=text(model.body_pos[body]), quat=text(model.body_quat[body]))  # fmt: skip
+                                pos=text(model.body_pos[body]), quat=text(model.body_quat[body]))
         made[body] = element
         if model.body_mass[body] > 0:
             ET.SubElement(element, "inertial", pos=text(model.body_ipos[body]), quat=text(model.body_iquat[body]),
-                          mass=text(model.body_mass[body]), diaginertia=text(model.body_inertia[body]))  # fmt: skip
+                          mass=text(model.body_mass[body]), diaginertia=text(model.body_inertia[body]))
         for joint in (j for j in range(model.njnt) if model.jnt_bodyid[j] == body):
             dof = model.jnt_dofadr[joint]
             limited = bool(model.jnt_limited[joint])
@@ -45,7 +45,7 @@ def robot_mjcf(plant: Plant, name: str) -> str:
                           "pos": text(model.jnt_pos[joint]),
                           "axis": text(model.jnt_axis[joint]), "limited": str(limited).lower(),
                           "ref": text(model.qpos0[model.jnt_qposadr[joint]]), "damping": text(model.dof_damping[dof]),
-                          "armature": text(model.dof_armature[dof]), "frictionloss": text(model.dof_frictionloss[dof])}  # fmt: skip
+                          "armature": text(model.dof_armature[dof]), "frictionloss": text(model.dof_frictionloss[dof])}
             if limited:
                 attributes["range"] = text(model.jnt_range[joint])
             if joint in arm:
@@ -65,7 +65,7 @@ _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1), int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2), int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
-}  # fmt: skip
+}
 
 
 def _shape(parent: ET.Element, name: str, kind: int, size: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
@@ -89,7 +89,7 @@ def _hull(assets: ET.Element, parent: ET.Element, model: mujoco.MjModel, geom: i
     rounded = " ".join(f"{v:.7f}" for v in points.ravel())  # to 0.05 um
     ET.SubElement(assets, "mesh", name=name, vertex=rounded, inertia="shell")
     ET.SubElement(parent, "geom", name=name, type="mesh", mesh=name, pos=text(model.geom_pos[geom]), quat=text(model.geom_quat[geom]),
-                  contype="0", conaffinity="0", group="3")  # fmt: skip
+                  contype="0", conaffinity="0", group="3")
 
 
 def _enclose(parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:

@@ -20,11 +20,11 @@ START = "start"
 TRANSMITTED, WRAPPED = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtWrap.mjWRAP_JOINT
 GEOMS = {mujoco.mjtGeom.mjGEOM_PLANE: "plane", mujoco.mjtGeom.mjGEOM_SPHERE: "sphere", mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
          mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid", mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder", mujoco.mjtGeom.mjGEOM_BOX: "box",
-         mujoco.mjtGeom.mjGEOM_MESH: "mesh"}  # fmt: skip
+         mujoco.mjtGeom.mjGEOM_MESH: "mesh"}
 JOINTS = {mujoco.mjtJoint.mjJNT_FREE: "free", mujoco.mjtJoint.mjJNT_BALL: "ball", mujoco.mjtJoint.mjJNT_SLIDE: "slide",
-          mujoco.mjtJoint.mjJNT_HINGE: "hinge"}  # fmt: skip
+          mujoco.mjtJoint.mjJNT_HINGE: "hinge"}
 INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_RK4: "RK4",
-               mujoco.mjtIntegrator.mjINT_IMPLICIT: "implicit", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}  # fmt: skip
+               mujoco.mjtIntegrator.mjINT_IMPLICIT: "implicit", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
 
 
 def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Callable[[str], str], sites: dict[str, str]) -> str:
@@ -42,7 +42,7 @@ def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Cal
     """
     root = ET.Element("mujoco", model=name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="false", inertiafromgeom="false", balanceinertia="false", boundmass="0",
-                  boundinertia="0")  # fmt: skip
+                  boundinertia="0")
     option = model.opt
     ET.SubElement(
         root, "option", timestep=text(option.timestep), gravity=text(option.gravity), wind=text(option.wind),
@@ -50,7 +50,7 @@ def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Cal
         integrator=INTEGRATORS[option.integrator], cone="elliptic" if option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "pyramidal",
         solver={0: "PGS", 1: "CG", 2: "Newton"}[int(option.solver)], iterations=str(option.iterations), tolerance=text(option.tolerance),
         noslip_iterations=str(option.noslip_iterations),
-    )  # fmt: skip
+    )
     assets = ET.SubElement(root, "asset")
     elements = {0: ET.SubElement(root, "worldbody")}
     for body in range(model.nbody):
@@ -62,7 +62,7 @@ def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Cal
         for site in _of(model.site_bodyid, body):
             if model.site(site).name in sites:
                 ET.SubElement(elements[body], "site", name=sites[model.site(site).name], pos=text(model.site_pos[site]),
-                              quat=text(model.site_quat[site]))  # fmt: skip
+                              quat=text(model.site_quat[site]))
     _tendons(root, model, plain)
     _equalities(root, model, plain)
     _actuators(root, model, plain)
@@ -73,10 +73,10 @@ def scene_mjcf(model: mujoco.MjModel, data: mujoco.MjData, name: str, plain: Cal
 
 def _body(parent: ET.Element, model: mujoco.MjModel, body: int, plain: Callable[[str], str]) -> ET.Element:
     element = ET.SubElement(parent, "body", name=plain(model.body(body).name), pos=text(model.body_pos[body]),
-                            quat=text(model.body_quat[body]), gravcomp=text(model.body_gravcomp[body]))  # fmt: skip
+                            quat=text(model.body_quat[body]), gravcomp=text(model.body_gravcomp[body]))
     if model.body_mass[body] > 0:
         ET.SubElement(element, "inertial", pos=text(model.body_ipos[body]), quat=text(model.body_iquat[body]),
-                      mass=text(model.body_mass[body]), diaginertia=text(model.body_inertia[body]))  # fmt: skip
+                      mass=text(model.body_mass[body]), diaginertia=text(model.body_inertia[body]))
     for joint in _of(model.jnt_bodyid, body):
         kind, dof, at = mujoco.mjtJoint(model.jnt_type[joint]), int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
         words = {"name": plain(model.joint(joint).name), "type": JOINTS[kind]}
@@ -90,10 +90,10 @@ def _body(parent: ET.Element, model: mujoco.MjModel, body: int, plain: Callable[
                 "solimplimit": text(model.jnt_solimp[joint]), "margin": text(model.jnt_margin[joint]),
                 "limited": _word(model.jnt_limited[joint]), "range": text(model.jnt_range[joint]),
                 "actuatorfrclimited": _word(model.jnt_actfrclimited[joint]), "actuatorfrcrange": text(model.jnt_actfrcrange[joint]),
-            }  # fmt: skip
+            }
         elif model.dof_damping[dof] or model.dof_frictionloss[dof] or model.dof_armature[dof]:
             words |= {"damping": text(model.dof_damping[dof]), "armature": text(model.dof_armature[dof]),
-                      "frictionloss": text(model.dof_frictionloss[dof])}  # fmt: skip
+                      "frictionloss": text(model.dof_frictionloss[dof])}
         ET.SubElement(element, "joint", words)
     return element
 
@@ -108,7 +108,7 @@ def _geom(parent: ET.Element, assets: ET.Element, model: mujoco.MjModel, geom: i
         "condim": str(model.geom_condim[geom]), "priority": str(model.geom_priority[geom]), "friction": text(model.geom_friction[geom]),
         "solmix": text(model.geom_solmix[geom]), "solref": text(model.geom_solref[geom]), "solimp": text(model.geom_solimp[geom]),
         "margin": text(model.geom_margin[geom]), "gap": text(model.geom_gap[geom]),
-    }  # fmt: skip
+    }
     if model.geom(geom).name:
         words["name"] = plain(model.geom(geom).name)
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
@@ -142,7 +142,7 @@ def _tendons(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], str
             margin=text(model.tendon_margin[tendon]), solreflimit=text(model.tendon_solref_lim[tendon]),
             solimplimit=text(model.tendon_solimp_lim[tendon]), solreffriction=text(model.tendon_solref_fri[tendon]),
             solimpfriction=text(model.tendon_solimp_fri[tendon]),
-        )  # fmt: skip
+        )
         for w in wraps:
             ET.SubElement(element, "joint", joint=plain(model.joint(model.wrap_objid[w]).name), coef=text(model.wrap_prm[w]))
 
@@ -160,7 +160,7 @@ def _equalities(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], 
         ET.SubElement(parent, words, named | {
             "polycoef": text(model.eq_data[equality, :5]), "active": _word(model.eq_active0[equality]),
             "solref": text(model.eq_solref[equality]), "solimp": text(model.eq_solimp[equality]),
-        })  # fmt: skip
+        })
 
 
 def _actuators(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], str]) -> None:
@@ -177,7 +177,7 @@ def _actuators(root: ET.Element, model: mujoco.MjModel, plain: Callable[[str], s
             forcerange=text(model.actuator_forcerange[a]),
             gaintype="fixed", gainprm=text(model.actuator_gainprm[a, :3]), biasprm=text(model.actuator_biasprm[a, :3]),
             biastype="none" if bias == mujoco.mjtBias.mjBIAS_NONE else "affine",
-        )  # fmt: skip
+        )
 
 
 def _of(owners: np.ndarray, body: int) -> Iterable[int]:

@@ -69,7 +69,7 @@ class Twin:
             "robot": self.robot.name, "joints": self._names, "fingers": self._finger_names, "forms": FORMS,
             "rate_hz": 1.0 / self.model.opt.timestep, "model_sha256": model_sha256(self.model),
             "pace": self.pace,
-        }  # fmt: skip
+        }
 
     def begin(self, seed: int) -> None:
         """Start an episode; its clock starts with the first command."""
@@ -96,7 +96,7 @@ class Twin:
             "joints": data.qpos[self._qpos], "fingers": data.qpos[self._finger_qpos], "speeds": data.qvel[self._dofs],
             "efforts": data.ctrl[self._motors], "object_position": self.env.object_position,
             "object_quaternion": data.xquat[self.env.object_body], "goal": self.env.goal,
-        }  # fmt: skip
+        }
         broken = not all(np.isfinite(value).all() for value in found.values())
         values = {key: np.nan_to_num(np.asarray(value)).tolist() for key, value in found.items()}
         fault = self._stopped or self._broken or ("the simulation has diverged" if broken else "")

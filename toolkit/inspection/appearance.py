@@ -155,7 +155,7 @@ def body_mesh(model: mujoco.MjModel, body: int, largest: float = np.inf) -> Mesh
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     solid = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == body and model.geom_group[geom] <= 1
-             and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE and model.geom_rbound[geom] < largest]  # fmt: skip
+             and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE and model.geom_rbound[geom] < largest]
     chosen = [geom for geom in solid if model.geom_group[geom] == 1] or solid
     return _gathered(model, data, body, chosen) if chosen else None
 

@@ -81,7 +81,7 @@ class _Watched:
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
         self.notes: dict[str, list] = {key: [] for key in
-                                       ("qpos", "grasp", "carried", "target", "closing", "points", "forces", "by_robot")}  # fmt: skip
+                                       ("qpos", "grasp", "carried", "target", "closing", "points", "forces", "by_robot")}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._plant, name)
@@ -125,7 +125,7 @@ def shoot(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
         carried=array("carried", frames), goal=np.array(plant.goal), closing=array("closing", frames - 1),
         points=notes["points"][: frames - 1], forces=notes["forces"][: frames - 1], by_robot=notes["by_robot"][: frames - 1],
         interval=1.0 / plant.task.control_frequency, success=episode.success, diverged=episode.diverged,
-    )  # fmt: skip
+    )
 
 
 def contacts_of(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -96,7 +96,7 @@ class Explored:
         both = np.concatenate([self.observation, self.action])
         if not (self.observation > 0).any() or (both < 0).any():
             raise ToolkitError("the search has no observation to explore, or a negative deviation; declare one in the task, or take "
-                               "learner 'npg'")  # fmt: skip
+                               "learner 'npg'")
 
 
 @dataclass(frozen=True, eq=False)

@@ -486,7 +486,7 @@ def network_tensors(prefix: str, network: GaussianPolicy | ValueFunction) -> dic
     """All that is trained of a network and its normalisation, for a checkpoint; keys begin with the prefix."""
     layers = network.layers()
     return {f"{prefix}.parameters": network.parameters, f"{prefix}.shift": np.array(layers.shift),
-            f"{prefix}.scale": np.array(layers.scale)}  # fmt: skip
+            f"{prefix}.scale": np.array(layers.scale)}
 
 
 def learner_tensors(prefix: str, policy: GaussianPolicy, value: ValueFunction) -> dict[str, np.ndarray]:

@@ -40,7 +40,7 @@ def quaternion(r: np.ndarray) -> np.ndarray:
     """Quaternion (4,) of a rotation matrix (3, 3), by its largest component (Shepperd 1978)."""
     out = np.empty(4)
     squares = np.array([1 + r[0, 0] + r[1, 1] + r[2, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2],
-                        1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])  # fmt: skip
+                        1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])
     largest = np.argmax(squares)
     twice = math.sqrt(squares[largest])
     out[largest] = 0.5 * twice

@@ -238,7 +238,7 @@ class MergedRobot:
             name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]],
             friction=TABLE_FRICTION, contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
             rgba=[0.75, 0.72, 0.68, 1],
-        )  # fmt: skip
+        )
         spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
 
     def _add_links(self, spec: mujoco.MjSpec, p: Patch) -> list:
@@ -249,23 +249,23 @@ class MergedRobot:
             body = parent.add_body(
                 name=slot.name, pos=p.body_pos[i], mass=p.mass[i], ipos=p.com[i], iquat=p.inertia_quat[i],
                 inertia=p.inertia[i], explicitinertial=True,
-            )  # fmt: skip
+            )
             body.add_joint(
                 name=slot.name, type=slide if slot.sliding else hinge, axis=p.axis[i], limited=True, range=p.limits[i],
                 margin=p.margin[i], stiffness=[p.spring[i], p.spring_quadratic[i], 0], springref=p.spring_rest[i],
                 damping=p.damping[i], armature=p.armature[i], frictionloss=p.friction_loss[i],
-            )  # fmt: skip
+            )
             rgba = [0.3, 0.33, 0.38, 1] if i < self._arm else [0.55, 0.58, 0.62, 1]
             body.add_geom(
                 name=f"{slot.name}/bone", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=p.bone_size[i], pos=p.bone_pos[i],
                 quat=p.bone_quat[i], contype=0, conaffinity=0, group=1, rgba=rgba, density=0,
-            )  # fmt: skip
+            )
             bodies.append(body)
         for k, i in enumerate(self._airy):
             bodies[i].add_body(
                 name=f"{self.space.matching.slots[i].name}/air", pos=p.air_pos[k], quat=p.air_quat[k], mass=AIR_MASS, ipos=[0, 0, 0],
                 inertia=p.air_inertia[k], explicitinertial=True,
-            )  # fmt: skip
+            )
         flange = bodies[self._arm - 1]
         quat = quaternion(START_ROTATION)
         flange.add_site(name="grasp", pos=p.grasp_pos, quat=quat)
@@ -279,7 +279,7 @@ class MergedRobot:
                 quat=p.shape_quat[i], friction=p.shape_friction[i], solref=p.shape_solref[i], margin=p.shape_margin[i],
                 condim=shape.condim, contype=HAND_BIT, conaffinity=0, group=1, density=0,
                 rgba=[0.85, 0.65, 0.5, 1] if owner_is_source else [0.2, 0.45, 0.75, 1],
-            )  # fmt: skip
+            )
 
     def _add_actuators(self, spec: mujoco.MjSpec, p: Patch) -> None:
         slots = self.space.matching.slots
@@ -292,7 +292,7 @@ class MergedRobot:
             actuator = spec.add_actuator(  # how strong it is, the grasp law says
                 name=slots[i].name, target=slots[i].name, forcelimited=True, forcerange=[-1.0, 1.0],
                 biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            )  # fmt: skip
+            )
             actuator.gainprm[0], actuator.biasprm[1] = gain, -gain
             actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
 
@@ -301,11 +301,11 @@ class MergedRobot:
         for i, coupling in enumerate(self.space.coupling_slots):
             tendon = spec.add_tendon(name=coupling.name, stiffness=p.coupling_stiffness[i],
                                      frictionloss=p.coupling_friction[i], springlength=p.coupling_slack[i],
-                                     limited=True, range=p.coupling_limits[i])  # fmt: skip
+                                     limited=True, range=p.coupling_limits[i])
             for slot, coefficient in zip(coupling.slots, p.coupling[i], strict=False):
                 tendon.wrap_joint(slots[slot].name, coefficient)
             equality = spec.add_equality(name=coupling.name, name1=coupling.name, type=mujoco.mjtEq.mjEQ_TENDON,
-                                         active=bool(p.coupling_held[i]), objtype=mujoco.mjtObj.mjOBJ_TENDON)  # fmt: skip
+                                         active=bool(p.coupling_held[i]), objtype=mujoco.mjtObj.mjOBJ_TENDON)
             equality.data[0] = p.coupling_length[i]
             equality.solimp[:2] = p.coupling_impedance[i]
             equality.solref[0] = p.coupling_time[i]
@@ -316,7 +316,7 @@ class MergedRobot:
             equality = spec.add_equality(
                 name=curve.name, type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=slots[curve.pad].name,
                 name2=slots[curve.driven].name, active=bool(p.curve_stiffness[i] > HELD),
-            )  # fmt: skip
+            )
             equality.data[:5] = (0.0, *p.curve[i], 0.0, 0.0)
             equality.solimp[:2] = SOFT
 
@@ -330,7 +330,7 @@ class MergedRobot:
             name="object", type=kind, size=size, density=item.mass / item.volume, friction=item.friction,
             solref=OBJECT_SOLREF, margin=OBJECT_MARGIN[item.shape], contype=OBJECT_BIT,
             conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
-        )  # fmt: skip
+        )
 
     def compile(self, alpha: np.ndarray) -> mujoco.MjModel:
         """A model compiled from scratch at ``alpha`` (D,).

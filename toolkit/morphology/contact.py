@@ -36,7 +36,7 @@ def _turned(turn: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
     v = 1.0 - c
     r = np.array([[c + x * x * v, x * y * v - z * s, x * z * v + y * s],
                   [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
-                  [z * x * v - y * s, z * y * v + x * s, c + z * z * v]])  # fmt: skip
+                  [z * x * v - y * s, z * y * v + x * s, c + z * z * v]])
     return turn @ r
 
 
@@ -124,7 +124,7 @@ def _reach(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, pus
 def gap_of(
     turns: np.ndarray, shifts: np.ndarray, mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray,
     sizes: np.ndarray, boxes: np.ndarray, active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray,
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Distance [m] of a finger from its face of the box and where it is nearest (3,); each shape's share (n,) in both, and its place.
 
     Nearly equal shapes share in proportion to exp(-gap / BLUR), so that distance and place move evenly from one to the next. Beside
@@ -167,7 +167,7 @@ def gap_of(
 def tilt_of(
     turns: np.ndarray, mine: np.ndarray, link: np.ndarray, frames: np.ndarray, faces: np.ndarray, shares: np.ndarray,
     push: np.ndarray, sideways: np.ndarray,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """How far [rad] the faces of a finger's pads lean from the box's, about ``sideways``, and the pads' part in the contact.
 
     Args:
@@ -190,7 +190,7 @@ def tilt_of(
 def levers(
     joints: np.ndarray, finger_of: np.ndarray, sliding: np.ndarray, axes: np.ndarray, anchors: np.ndarray, tips: np.ndarray,
     shifts: np.ndarray, turns: np.ndarray, points: np.ndarray, push: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Torque (n,) [N m, N for a slide] on each finger joint per newton that its finger presses with.
 
     Args:
@@ -235,7 +235,7 @@ def meet(
     mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
     active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
     pitching: np.ndarray, faces: np.ndarray, gap: float, height: float, minding: float, tilt: float,
-) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray, float]:
     """One finger near a guess: its gap, the height of its nearest point and the lean of its pads as asked; without pads, its pitch.
 
     Args:

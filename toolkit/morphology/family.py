@@ -92,7 +92,7 @@ ALIKE = (
     "jnt_limited", "actuator_trnid", "actuator_trntype", "actuator_ctrllimited", "actuator_forcelimited", "actuator_gaintype",
     "actuator_biastype",
     "tendon_limited", "wrap_type", "wrap_objid", "eq_type",
-)  # fmt: skip
+)
 """What no evolution can change: it has to be the same on all robots of a family."""
 
 
@@ -150,7 +150,7 @@ def _name(model: mujoco.MjModel, owner: str, row: int) -> str:
     """What a row is called: its own name, or its body's with its number there."""
     kinds = {"body": mujoco.mjtObj.mjOBJ_BODY, "geom": mujoco.mjtObj.mjOBJ_GEOM, "joint": mujoco.mjtObj.mjOBJ_JOINT,
              "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR, "tendon": mujoco.mjtObj.mjOBJ_TENDON, "site": mujoco.mjtObj.mjOBJ_SITE,
-             "equality": mujoco.mjtObj.mjOBJ_EQUALITY}  # fmt: skip
+             "equality": mujoco.mjtObj.mjOBJ_EQUALITY}
     own = mujoco.mj_id2name(model, kinds[owner], row) if owner in kinds else None
     return own or f"{model.body(body_of(model, owner, row)).name or 'world'}/{owner}{row}"
 
@@ -263,7 +263,7 @@ class FamilySpace(ParameterSpace):
             centres.append(np.where(stated[:, None], model.body_ipos, 0.0))
             tensors = [frame @ np.diag(moments) @ frame.T for frame, moments in zip(frames, model.body_inertia, strict=True)]
             roots.append([gyration(float(mass), tensor) if own and mass > 0.0 else np.zeros(6)
-                          for mass, tensor, own in zip(model.body_mass, tensors, stated, strict=True)])  # fmt: skip
+                          for mass, tensor, own in zip(model.body_mass, tensors, stated, strict=True)])
         self.gyration = np.array(roots[0])
         found = [
             self._field("body_mass", "body", "mass", "kg", np.array(masses), [""]),

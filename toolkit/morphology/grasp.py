@@ -177,7 +177,7 @@ class GraspLaw:
         self._carrying, self._carrier = np.array(carrying), np.array([shapes[k].slot for k in carrying])
         self._own_shapes = [np.flatnonzero(finger == f) for f in range(len(self.fingers))]
         self._link = np.array([int(np.flatnonzero(self._chain[f] == index[shapes[k].slot])[0])
-                               for k, f in zip(carrying, finger, strict=True)])  # fmt: skip
+                               for k, f in zip(carrying, finger, strict=True)])
         self._faces = self._facing(carrying, finger)
         self._boxes = np.array([shapes[k].kind == mujoco.mjtGeom.mjGEOM_BOX for k in carrying])
 
@@ -208,7 +208,7 @@ class GraspLaw:
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
             gaps[f], where, shares, _ = gap_of(
-                turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)  # fmt: skip
+                turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)
             lean, part = tilt_of(turns, self._own_shapes[f], self._link, solids[1], self._faces, shares, self._push[f], SIDEWAYS)
             tilts[f] = lean if part > PADDED else np.nan
             heights[f], points[f] = where[2], turns[-1].T @ (where - shifts[-1])
@@ -227,7 +227,7 @@ class GraspLaw:
             out[chain], points[f], touches[f] = meet(
                 angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
                 *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces, gap[f], height[f], minding[f], tilt[f],
-            )  # fmt: skip
+            )
         return out, points, touches
 
     # ---- the robots' own grasps --------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ class GraspLaw:
             *((name, rows[:, k], self._finger_of) for k, name in enumerate(("error", "beyond", "slack", "both"))),
             ("limit", self._own_limit, self._finger_of), ("share", shares, each), ("early", early, self._finger_of),
             ("ramp", ramps, each), ("late", late, self._finger_of), ("passive", passive, self._finger_of),
-        ]  # fmt: skip
+        ]
         values = np.concatenate([block for _, block, _ in blocks], axis=1)
         owners = np.concatenate([owner for _, _, owner in blocks])
         ends = np.cumsum([block.shape[1] for _, block, _ in blocks])
@@ -372,7 +372,7 @@ class GraspLaw:
         lever = levers(
             self._joints, self._finger_of, self._sliding, data.xaxis, data.xanchor, self._tip_bodies, data.xpos, data.xmat,
             point - p.anchor[self._tips], self._push,
-        )  # fmt: skip
+        )
         return lever * force[self._finger_of] - (data.qfrc_spring + self._held(model, data))[self._dofs]
 
     def _held(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -113,7 +113,7 @@ def become_box(model: mujoco.MjModel, body: int, width: float) -> None:
 def closed_on_box(
     model: mujoco.MjModel, start: np.ndarray, arm: Sequence[int], item: int, actuators: Sequence[int],
     targets: Callable[[float], np.ndarray], preshape: float, width: float = BOX_WIDTH, steps: int = CLOSING_STEPS,
-) -> tuple[mujoco.MjModel, mujoco.MjData]:  # fmt: skip
+) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A gripper closed on a box in its grasp frame, the arm and the box held still.
 
     Args:
@@ -358,5 +358,5 @@ def equivalent_linkages(
                 role, pads[i], knuckles[i], turn, *_spring(*cost), _damping(*closing[..., i].T, np.array(cost)),
                 tuple(map(float, curve)), float(hold), float(stop), float(gear), float(slack),
             )
-        )  # fmt: skip
+        )
     return out

@@ -289,7 +289,7 @@ def _joint(model: mujoco.MjModel, joint: int, screw: Screw, sign: float, start: 
     return Joint(
         screw, sign, start, joint, limits, float(model.dof_damping[dof]), float(model.dof_armature[dof]),
         float(model.dof_frictionloss[dof]), float(model.jnt_margin[joint]),
-    )  # fmt: skip
+    )
 
 
 def _drive(model: mujoco.MjModel, actuator: int, joint: Joint, targets: tuple[float, float]) -> Joint:
@@ -319,7 +319,7 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int])
                 np.array(model.geom_friction[geom]), np.array(model.geom_solref[geom]), int(model.geom_condim[geom]),
                 float(model.geom_margin[geom]),
             )
-        )  # fmt: skip
+        )
     return tuple(shapes), meshes
 
 
@@ -344,7 +344,7 @@ def _couplings(model: mujoco.MjModel, slot_of: dict[int, int], joints: Sequence[
                 (float(low) - start_length, float(high) - start_length), float(model.tendon_frictionloss[tendon]),
                 equality is not None, length - start_length,
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 
@@ -358,7 +358,7 @@ def _open_chains(
         joints[driven] = replace(
             joints[driven], damping=linkage.damping, spring=linkage.stiffness, spring_quadratic=linkage.quadratic,
             spring_rest=linkage.rest,
-        )  # fmt: skip
+        )
         wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)  # nothing may push against the lock
         joints[knuckle] = replace(joints[knuckle], locked=True, limits=wide)
         unlimited = (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
@@ -414,7 +414,7 @@ def _air(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int], jo
         joints[slot] = replace(
             joint, air_edges=np.abs(turned.as_matrix().T @ axes).round() @ edges, air_rotation=turned.as_rotvec(),
             air_position=weights @ data.xipos[bodies] / weights.sum(),
-        )  # fmt: skip
+        )
 
 
 def _bodies_of(model: mujoco.MjModel, carrier: dict[int, int], slot: int) -> list[int]:
@@ -486,7 +486,7 @@ class Reading:
                 any(joint in driven for joint in chain),
             )
             for chain in chains
-        ]  # fmt: skip
+        ]
 
     def joint_id(self, name: str) -> int:
         """The id of a gripper's joint by its own name."""
@@ -562,7 +562,7 @@ def match_fingers(readings: Sequence[Reading]) -> list[Pair]:
     hand = [
         Finger(tuple(source.role[joint] for joint in map(source.joint_id, finger.joints)), finger.screws, finger.driven)
         for finger in source.fingers if finger.driven
-    ]  # fmt: skip
+    ]
     pairs = []
     for reading in readings:
         proposed = propose_roles(reading.fingers, hand)
@@ -651,11 +651,11 @@ def _closed(robot: Robot, model: mujoco.MjModel, start: np.ndarray, joints: Sequ
         return np.array([target_at(robot, role, command) for role in actuators])
 
     _, data = closed_on_box(model, start, arm_joints(model), int(model.jnt_bodyid[free]), list(actuators.values()), targets,
-                            robot.gripper.preshape)  # fmt: skip
+                            robot.gripper.preshape)
     return np.array([
         0.0 if joint is None or joint.mujoco_joint < 0 else joint.sign * (data.qpos[model.jnt_qposadr[joint.mujoco_joint]] - joint.start)
         for joint in joints
-    ])  # fmt: skip
+    ])
 
 
 def _welded(screw: Screw) -> Joint:
@@ -681,4 +681,4 @@ def match(robots: Sequence[Robot]) -> Matching:
     return Matching(
         slots, tuple(system for system, _ in systems), len(arm),
         {robot.name: meshes for robot, (_, meshes) in zip(robots, systems, strict=True)}, (*arm_pairs, *fingers),
-    )  # fmt: skip
+    )

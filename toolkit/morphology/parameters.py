@@ -158,4 +158,4 @@ class ParameterSpace:
             {"name": p.name, "unit": p.unit, "element": p.element, "dimension": p.dimension, "low": p.low,
              "high": p.high, "values": dict(zip(self.names, map(float, p.values), strict=True))}
             for p in self.parameters
-        ]  # fmt: skip
+        ]

@@ -34,7 +34,7 @@ def role_joints(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, GRIPPER_PREFIX + name)
         if joint < 0:
             known = [model.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in range(model.njnt)
-                     if model.joint(j).name.startswith(GRIPPER_PREFIX)]  # fmt: skip
+                     if model.joint(j).name.startswith(GRIPPER_PREFIX)]
             raise ToolkitError(
                 f"gripper {robot.gripper.name}: role {role} names joint {name!r}, which its model lacks; "
                 f"it has {', '.join(known)}"
@@ -54,7 +54,7 @@ def welded_bodies(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, GRIPPER_PREFIX + name)
         if body < 0 or model.body_jntnum[body]:
             known = [model.body(b).name.removeprefix(GRIPPER_PREFIX) for b in range(model.nbody)
-                     if model.body(b).name.startswith(GRIPPER_PREFIX) and not model.body_jntnum[b]]  # fmt: skip
+                     if model.body(b).name.startswith(GRIPPER_PREFIX) and not model.body_jntnum[b]]
             raise ToolkitError(
                 f"gripper {robot.gripper.name}: role {role} is welded to body {name!r}, which its model has not without "
                 f"joints; it has {', '.join(known)}"

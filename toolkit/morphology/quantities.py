@@ -45,5 +45,5 @@ QUANTITIES: dict[str, str] = {
     "base_follows": "1: the frame of operational-space control turns with joint 1",
     "torque_limit": "of the arm joint's motor; 0 where the arm lacks the joint",
     "base_position": "origin of the frame of operational-space control at the start",
-}  # fmt: skip
+}
 """Quantity -> what it is."""

@@ -34,7 +34,7 @@ FROZEN_WIDE_DECADES = 10.0
 SLIDE_UNITS = {
     "limits": "m", "damping": "N s/m", "armature": "kg", "friction_loss": "N", "limit_margin": "m", "stiffness": "N/m",
     "start_target": "m",
-}  # fmt: skip
+}
 """Units of a joint's fields where the joint is a slide."""
 HAND_LOG_GAIN, GRIPPER_LOG_GAIN = 0.0, 3.0
 """log10 of the command gain: a hand tracks its targets; robosuite's grippers take the sign of the action, which a gain of
@@ -272,7 +272,7 @@ class EvolutionSpace(ParameterSpace):
                 rows.append(_borrowed(owned))
         slots = self.matching.slots
         return Field(name, tuple(s.name for s in slots), tuple(s.element for s in slots), tuple(components), unit,
-                     np.stack(rows, axis=1))  # fmt: skip
+                     np.stack(rows, axis=1))
 
     def _fields(self) -> list[Field]:
         return [*self._joint_fields(), *self._shape_fields(), *self._coupling_fields(), *self._curve_fields(),
@@ -302,7 +302,7 @@ class EvolutionSpace(ParameterSpace):
             # share of the actuator's stiffness it moves the joint evenly along it.
             slot_field("spring_share", "1", ("",), lambda j, i: j.spring and j.spring / j.stiffness, absent=[0.0]),
             slot_field("spring_share_quadratic", "1/rad", ("",), lambda j, i: j.spring and j.spring_quadratic / j.stiffness,
-                       absent=[0.0]),  # fmt: skip
+                       absent=[0.0]),
             slot_field("spring_rest", "rad", ("",), lambda j, i: j.spring_rest),
             slot_field("stiffness", "N m/rad", ("",), lambda j, i: j.stiffness, absent=[0.0]),
             self._targets(),
@@ -326,7 +326,7 @@ class EvolutionSpace(ParameterSpace):
         return Field("start_target", tuple(s.name for s in slots), elements, ("",), "rad", np.stack(rows, axis=1))
 
     def _item_field(self, name: str, unit: str, components: Sequence[str], items: Sequence, get: Callable,
-                    absent: float | tuple[float, ...] | None = None) -> Field:  # fmt: skip
+                    absent: float | tuple[float, ...] | None = None) -> Field:
         """A field over shape, coupling or curve slots."""
         rows = []
         for item in items:
@@ -361,7 +361,7 @@ class EvolutionSpace(ParameterSpace):
             _borrowed([owner.position if owner else self._hiding_place(robot, shape)
                        for robot, owner in enumerate(shape.owners)])
             for shape in shapes
-        ]  # fmt: skip
+        ]
         elements = tuple(self.matching.slots[shape.slot].element for shape in shapes)
         values = np.stack(rows, axis=1)
         return Field("shape_position", tuple(s.name for s in shapes), elements, ("x", "y", "z"), "m", values)
@@ -438,7 +438,7 @@ class EvolutionSpace(ParameterSpace):
             self._item_field("coupling_friction", "N", ("",), couplings, lambda o, _: o.friction_loss, absent=0.0),
             self._item_field("coupling_held", "1", ("",), couplings, lambda o, _: float(o.held), absent=0.0),
             self._item_field("coupling_length", "m", ("",), couplings, lambda o, _: o.held_length),
-        ]  # fmt: skip
+        ]
 
     def _curve_fields(self) -> list[Field]:
         curves = self.curve_slots
@@ -460,7 +460,7 @@ class EvolutionSpace(ParameterSpace):
             ("base_follows", "1", "arm1", [s.base_follows for s in systems]),
         ]
         out = [Field(name, (element,), (element,), ("",), unit, np.array(values)[:, None, None])
-               for name, unit, element, values in rows]  # fmt: skip
+               for name, unit, element, values in rows]
         arm = tuple(slot.name for slot in self.matching.slots[: self.matching.arm_size])
         limits = np.array([s.torque_limits for s in systems])[:, :, None]
         base = np.array([s.base_position for s in systems])[:, None, :]

@@ -57,7 +57,7 @@ def hand_on_arms(source: Robot, targets: Sequence[Robot]) -> list[Robot]:
             found[robot.arm] = replace(
                 source, name=name, arm=robot.arm, base_position=robot.base_position, posture_seed=robot.posture_seed,
                 datasheet=robot.datasheet,
-            )  # fmt: skip
+            )
     return list(found.values())
 
 

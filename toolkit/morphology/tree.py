@@ -131,7 +131,7 @@ class KinematicTree:
                     np.array(placement.translation), placement.rotation @ axis,
                     float(link.mass), np.array(link.lever), np.array(link.inertia), self._sliding[index],
                 )
-            )  # fmt: skip
+            )
         return out
 
     def welded(self, body: int, qpos: np.ndarray, axis: np.ndarray) -> Screw:

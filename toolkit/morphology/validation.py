@@ -37,7 +37,7 @@ def findings(robot: Robot) -> list[str]:
     out = list(_of_the_card(robot))
     for kind, name, registry in (
         ("arm", robot.arm, REGISTERED_ROBOTS), ("gripper_types", robot.gripper.robosuite_type, GRIPPER_MAPPING)
-    ):  # fmt: skip
+    ):
         if name not in registry:
             known = ", ".join(sorted(key for key in registry if key))
             out.append(f"robot {robot.name}: robosuite knows no {kind.removesuffix('_types')} {name!r}; it has {known}")
@@ -75,14 +75,14 @@ def _of_the_card(robot: Robot) -> Iterator[str]:
     for index, angle in enumerate(robot.posture_seed):
         if not abs(angle) <= LARGEST_ANGLE:
             yield (f"robot {robot.name}: posture_seed[{index}] = {angle} is no angle in radians; "
-                   f"{angle} degrees are {np.deg2rad(angle):.4f} rad")  # fmt: skip
+                   f"{angle} degrees are {np.deg2rad(angle):.4f} rad")
     for axis, place in zip("xyz", robot.base_position, strict=True):
         if not abs(place) <= LARGEST_PLACE:
             yield f"robot {robot.name}: base_position {axis} = {place} lies metres away from the table; write metres, not millimetres"
     for index, speed in enumerate(robot.joint_speeds or ()):
         if not 0 < speed <= LARGEST_SPEED:
             yield (f"robot {robot.name}: joint_speeds[{index}] = {speed} is no highest speed in rad/s; "
-                   f"{speed} degrees per second are {np.deg2rad(speed):.4f} rad/s")  # fmt: skip
+                   f"{speed} degrees per second are {np.deg2rad(speed):.4f} rad/s")
     for role, pair in robot.gripper.targets.items():
         unit, large = ("m", LARGEST_TRAVEL) if slides(role) else ("rad", LARGEST_ANGLE)
         if not max(map(abs, pair)) <= large:
@@ -117,7 +117,7 @@ def _of_a_model(label: str, model: MujocoXML) -> Iterator[str]:
             yield f"{label}: joint {name!r} has the axis {axis.tolist()} of length {length:g}, not 1; {mend}"
         if len(limits) == 2 and joint.get("type", "hinge") == "hinge" and np.abs(limits).max() > LARGEST_TURNS * 2 * np.pi:
             yield (f"{label}: joint {name!r} has the limits {limits[0]:g} to {limits[1]:g} rad, many turns; write radians, not degrees: "
-                   f"{np.deg2rad(limits[0]):.4f} to {np.deg2rad(limits[1]):.4f}")  # fmt: skip
+                   f"{np.deg2rad(limits[0]):.4f} to {np.deg2rad(limits[1]):.4f}")
         if len(limits) == 2 and limits[0] >= limits[1]:
             yield f"{label}: joint {name!r} has the limits {limits[0]:g} to {limits[1]:g}; swap them, the lower one comes first"
 
@@ -126,7 +126,7 @@ def _of_the_arm(robot: Robot, arm: MujocoXML) -> Iterator[str]:
     joints = [_own(arm, joint) for joint in arm.worldbody.iter("joint")]
     if len(joints) != len(robot.posture_seed):
         yield (f"robot {robot.name}: posture_seed has {len(robot.posture_seed)} angles, its arm {len(joints)} joints: "
-               f"{', '.join(joints)}")  # fmt: skip
+               f"{', '.join(joints)}")
     if robot.joint_speeds is not None and len(robot.joint_speeds) != len(joints):
         yield f"robot {robot.name}: joint_speeds has {len(robot.joint_speeds)} numbers, its arm {len(joints)} joints: {', '.join(joints)}"
     if BASE_SITE not in [_own(arm, site) for site in arm.worldbody.iter("site")]:
@@ -169,22 +169,22 @@ def _of_the_motors(label: str, arm: MujocoXML, joints: list[str]) -> Iterator[st
 
     other = [actuator for actuator in mine if _law(actuator) != "motor"]
     yield from first(other, lambda a: f"is {_article(_law(a))}, but operational-space control writes torques in N m to it; make it a "
-                                      "<motor> with its torque limit as ctrlrange")  # fmt: skip
+                                      "<motor> with its torque limit as ctrlrange")
     motors = [actuator for actuator in mine if actuator not in other]
     geared = [actuator for actuator in motors if len(_numbers(actuator, "gear")) and _numbers(actuator, "gear")[0] != 1.0]
     yield from first(geared, lambda a: f"has a gear of {_numbers(a, 'gear')[0]:g}, so its control is no torque of the joint; take the gear "
-                                       "out and give ctrlrange in N m of the joint")  # fmt: skip
+                                       "out and give ctrlrange in N m of the joint")
     torques = {actuator: _numbers(actuator, "ctrlrange") for actuator in motors}
     odd = [a for a, t in torques.items() if len(t) != 2 or not (t[0] < 0 < t[1] and LEAST_TORQUE <= max(-t[0], t[1]) <= LARGEST_TORQUE)]
     yield from first(odd, lambda a: f"has the ctrlrange {a.get('ctrlrange') or 'of none'}, which is no torque limit from "
-                                    f"{LEAST_TORQUE:g} to {LARGEST_TORQUE:g} N m either way")  # fmt: skip
+                                    f"{LEAST_TORQUE:g} to {LARGEST_TORQUE:g} N m either way")
 
 
 def _of_the_gripper(robot: Robot, model: MujocoXML) -> Iterator[str]:
     card, label = robot.gripper, f"gripper {robot.gripper.name}"
     if GRIP_SITE not in [_own(model, site) for site in model.worldbody.iter("site")]:
         yield (f"{label}: its model has no site {GRIP_SITE!r}, the grasp frame; add one between the pads, z towards the object "
-               "and x along the closing axis")  # fmt: skip
+               "and x along the closing axis")
     joints = [_own(model, joint) for joint in model.worldbody.iter("joint")]
     kinds = {_own(model, joint): joint.get("type", "hinge") for joint in model.worldbody.iter("joint")}
     for role, joint in card.joints.items():
@@ -206,7 +206,7 @@ def _of_the_actuators(targets: dict, role_of: dict[str, str], label: str, model:
         role = role_of.get(joint)
         if role is not None and role not in ROLE_COMMAND:
             yield (f"{label}: actuator {_own(model, actuator)!r} drives joint {joint!r}, which plays {role}, a passive role; "
-                   "drive the outer knuckle, or give the joint a role that is driven")  # fmt: skip
+                   "drive the outer knuckle, or give the joint a role that is driven")
         elif role is not None and role not in targets:
             yield f"{label}: actuator {_own(model, actuator)!r} drives role {role}, which has no target; add its open and closed position"
     for role, pair in targets.items():

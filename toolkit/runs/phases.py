@@ -26,7 +26,7 @@ _STATE = {
     "path": str, "number": int, "stage": str, "targets": [str],
     "takes": [{"seed": int, "noise": bool, "success": bool, "diverged": bool, "steps": int, "update": int,
                "policy": int, "roles": [str]}],
-}  # fmt: skip
+}
 
 
 @dataclass
@@ -196,7 +196,7 @@ class Witness:
     def saw(
         self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, policies: Sequence[GaussianPolicy],
         episodes: Sequence[Episode], noise: bool, update: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Judge a batch of episodes.
 
         Args:
@@ -246,7 +246,7 @@ class Witness:
             phase.takes.append(
                 Take(episode.seed, noise, episode.success, episode.diverged, episode.steps, value, update, index,
                      np.array(episode.alpha), sorted(roles, key=ROLES.index))
-            )  # fmt: skip
+            )
         self._drop_unused(phase)
 
     @staticmethod

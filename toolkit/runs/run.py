@@ -288,9 +288,9 @@ _REPORT = {
     "targets": {...: {"native": _EVALUATION, "merged": _EVALUATION}}, "train_iterations": _COUNTS, "sim_epochs": _COUNTS,
     "check_episodes": _COUNTS, "routes": {...: [str]}, "totals": {"train_iterations": int, "sim_epochs": int, "check_episodes": int,
     "diverged": int}, "wall_s": float, "time": {"wall_s": float}, "kind": str, "metric": str, "step": str, "path": str, "task": str,
-}  # fmt: skip
+}
 _TREE = {"metric": str, "kind": str, "nodes": [{"name": str, "kind": str, "alpha": [float]}],
-         "edges": [{"from": str, "to": str, "length": float}]}  # fmt: skip
+         "edges": [{"from": str, "to": str, "length": float}]}
 _EVENT = {"event": str, "path": str, "stage": str, "train_iterations": int, "sim_epochs": int, "check_episodes": int, "diverged": int}
 _EVENTS = {"check": {"success": float}, "arrived": {"target": str}, "split": {"targets": str}}
 
@@ -344,7 +344,7 @@ def read_audit(folder: Path) -> dict[str, Any] | None:
     if not file.is_file():
         return None
     edge = {"from": str, "to": str, "robots": [{"share": float, "grip_n": float}],
-            "violations": [{"share": float, "quantity": str, "allowed": list}]}  # fmt: skip
+            "violations": [{"share": float, "quantity": str, "allowed": list}]}
     return require(read_object(file, mend), {"verdict": str, "edges": [edge]}, str(file), mend)
 
 
@@ -370,7 +370,7 @@ def read_tree(folder: Path) -> dict[str, Any]:
         and all(0.0 <= edge["length"] < 1e6 for edge in tree["edges"])
         and len({edge["to"] for edge in tree["edges"]}) == len(tree["edges"]) == len(names) - 1  # one way into each but the source
         and all(end in names for edge in tree["edges"] for end in (edge["from"], edge["to"]))
-    )  # fmt: skip
+    )
     if not sound:
         raise ToolkitError(f"{file} is damaged: its nodes and edges make no tree; {mend}")
     return tree

@@ -52,7 +52,7 @@ class Divergence:
     def save(self, path: Path) -> None:
         """Write one .npz, whole or not at all: arrays, and a JSON header for the names."""
         header = {"format": FORMAT, "robots": list(self.robots), "native": self.native, "task": self.task, "seed": self.seed,
-                  "mujoco": mujoco.__version__}  # fmt: skip
+                  "mujoco": mujoco.__version__}
         unfinished = path.with_suffix(".part")
         with open(unfinished, "wb") as file:
             np.savez_compressed(file, header=np.array(json.dumps(header)), **{name: getattr(self, name) for name in _ARRAYS})
@@ -128,7 +128,7 @@ class Replay:
     def to_json(self) -> dict[str, Any]:
         """The contract of ``meta-evolve replay --json``; numbers that are none are null."""
         rows = [{key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in asdict(row).items()}
-                for row in self.substeps]  # fmt: skip
+                for row in self.substeps]
         return {"diverged": self.diverged, "cause": self.cause, "substeps": rows}
 
 
@@ -143,7 +143,7 @@ def replay(plant: Drivable, divergence: Divergence) -> Replay:
     found = {name: getattr(divergence, name).size for name in wanted}
     if wanted != found or action.size != len(plant.task.action_names):
         raise ToolkitError(f"the dump's sizes {found} are not {wanted} of {', '.join(divergence.robots)}; the robots have changed "
-                           "since, so play it with the version that wrote it")  # fmt: skip
+                           "since, so play it with the version that wrote it")
     plant.begin(divergence.seed)
     mujoco.mj_setState(model, data, divergence.state, STATE)
     plant.command, plant.goal = divergence.command.copy(), divergence.goal.copy()
@@ -162,10 +162,10 @@ def _look(plant: Drivable) -> Substep:
     speeds = np.abs(data.qvel)
     fastest = int(np.argmax(np.where(np.isnan(speeds), np.inf, speeds)))
     warnings = [f"{mujoco.mjtWarning(int(w)).name} at {_named(model, int(w), data.warning[int(w)].lastinfo)}"
-                for w in WATCHED_WARNINGS if data.warning[int(w)].number]  # fmt: skip
+                for w in WATCHED_WARNINGS if data.warning[int(w)].number]
     depth = max((float(-contact.dist) for contact in data.contact), default=0.0)
     return Substep(float(data.time), _joint_of(model, fastest), float(speeds[fastest]), int(data.ncon), max(depth, 0.0),
-                   plant.torque_share, tuple(warnings))  # fmt: skip
+                   plant.torque_share, tuple(warnings))
 
 
 def _joint_of(model: mujoco.MjModel, dof: int) -> str:

@@ -85,7 +85,7 @@ class NativeRobot:
         return observe(
             fingers, self.law.progress(self.command), data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3),
             self.env.object_position, self.env.object_rotation, self.env.goal, START_POSITION, START_ROTATION,
-        )  # fmt: skip
+        )
 
     def play(
         self, act: Callable[[np.ndarray], np.ndarray], seed: int, trace: list | None = None, native: bool = False

@@ -23,7 +23,7 @@ CLOSING = np.array([COMMANDED_ROLES.index(role) for role in CLOSING_ROLES])
 WATCHED_WARNINGS = np.array([
     mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
     mujoco.mjtWarning.mjWARN_INERTIA, mujoco.mjtWarning.mjWARN_BADCTRL,
-], np.int64)  # fmt: skip
+], np.int64)
 """MuJoCo warnings that mean a simulation has diverged."""
 SPEED_LIMIT = 200.0
 """Speed [rad/s or m/s] of any joint from which a simulation counts as exploded."""
@@ -59,7 +59,7 @@ def _progress(state: np.ndarray, closing: np.ndarray, preshape: float) -> float:
 def _hand(
     state: np.ndarray, closing: np.ndarray, preshape: float,
     qpos: np.ndarray, role: np.ndarray, address: np.ndarray, sign: np.ndarray, start: np.ndarray,
-) -> tuple[np.ndarray, float]:  # fmt: skip
+) -> tuple[np.ndarray, float]:
     out = np.zeros(state.size)
     for i in range(role.size):
         out[role[i]] = sign[i] * (qpos[address[i]] - start[i])
@@ -182,7 +182,7 @@ class Plant:
     def _arm_drive(
         self, arm: list[int], arm_actuator: list[int], finger_actuator: list[int],
         base: tuple[float, np.ndarray, np.ndarray, np.ndarray],
-    ) -> tuple:  # fmt: skip
+    ) -> tuple:
         """What control_step asks for after the finger controls."""
         model, data = self.model, self.data
         dofs = model.jnt_dofadr[arm]
@@ -193,7 +193,7 @@ class Plant:
             model.actuator_ctrlrange[arm_actuator, 1].copy(), float(base[0]),
             *(np.array(vector, float) for vector in base[1:]),
             data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos, data.site_xmat, data.cdof, data.subtree_com,
-        )  # fmt: skip
+        )
 
     def begin(self, seed: int) -> np.ndarray:
         """Reset to the start that the seed determines; returns the observation (n_obs,)."""
@@ -220,14 +220,14 @@ class Plant:
         osc.control_step(
             self.model._address, self.data._address, count, sets_goal, action[:6], self._osc_goal,
             self.before, self.law.targets(self.command), *self._drive,
-        )  # fmt: skip
+        )
 
     def observe(self) -> np.ndarray:
         """The observation record as a vector (n_obs,)."""
         return _observe(
             *_hand(self.command, CLOSING, self.law.preshape, self._qpos, *self._fingers), self._grasp_position,
             self._grasp_rotation, self._object_position, self._object_rotation, self.goal, START_POSITION, START_ROTATION,
-        )  # fmt: skip
+        )
 
     def aim(self, action: np.ndarray) -> np.ndarray:
         """Position (3,) [m], world, to which OSC would pull the grasp frame during a step with this action (n_act,)."""
@@ -321,19 +321,19 @@ def merged_arm_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjMod
         leak=float(theta["leak"][0, 0]), rate=float(10.0 ** theta["log_rate"][0, 0]),
         preshape=float(theta["preshape"][0, 0]), course=course,
         role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in driven]),
-    )  # fmt: skip
+    )
     base = (
         theta["base_follows"][0, 0], model.jnt_axis[model.joint(slots[0].name).id], theta["anchor"][0],
         theta["base_position"][0],
-    )  # fmt: skip
+    )
     present = theta["freeze"][roles, 0] < 1.0
     fingers = [(int(model.jnt_qposadr[model.joint(role).id]) if here else -1, 1.0, 0.0)
-               for role, here in zip(COMMANDED_ROLES, present, strict=True)]  # fmt: skip
+               for role, here in zip(COMMANDED_ROLES, present, strict=True)]
     return Plant(
         model, data, [model.joint(slots[i].name).id for i in range(arm_size)],
         [model.actuator(slots[i].name).id for i in range(arm_size)], [model.actuator(role).id for role in driven],
         "grasp", np.array(model.qpos0), fingers, law, base, "object", merged.task,
-    )  # fmt: skip
+    )
 
 
 def command_law(robot: Robot) -> CommandLaw:
@@ -345,7 +345,7 @@ def command_law(robot: Robot) -> CommandLaw:
         common=float(not hand), gain=10.0 ** (HAND_LOG_GAIN if hand else GRIPPER_LOG_GAIN), leak=float(hand),
         rate=HAND_RATE if hand else gripper.rate, preshape=gripper.preshape, course=Course.straight(*targets.T),
         role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in gripper.targets]),
-    )  # fmt: skip
+    )
 
 
 def finger_map(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, float, float]]:
@@ -377,6 +377,6 @@ def native_arm_plant(robot: Robot, task: PickTask) -> Plant:
     plant = Plant(
         model, data, arm, list(range(len(arm))), [actuators[role] for role in robot.gripper.targets], GRIP_SITE,
         np.array(data.qpos), finger_map(robot, model, data), command_law(robot), base, env.item.root_body, task,
-    )  # fmt: skip
+    )
     plant.env = env  # robosuite's wrapper owns the mjData; keep it alive
     return plant

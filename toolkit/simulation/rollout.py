@@ -60,7 +60,7 @@ def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape
         observations=np.array(played.observations), actions=np.array(played.actions), rewards=np.array(played.rewards),
         success=played.success, diverged=played.diverged, terminated=played.terminated, last_observation=observation,
         alpha=alpha, seed=seed,
-    )  # fmt: skip
+    )
 
 
 @dataclass
@@ -143,7 +143,7 @@ class _Engine:
             return None
         state, command = tape.broken
         return Divergence(seed=episode.seed, alpha=episode.alpha, state=state, command=command, goal=plant.goal,
-                          actions=episode.actions, **self._scene())  # fmt: skip
+                          actions=episode.actions, **self._scene())
 
     def play(self, actor: Actor | Sequence[Actor], alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
         """One episode per (alpha (D,), seed), in order, of one actor or of one actor each.

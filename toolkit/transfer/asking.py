@@ -135,7 +135,7 @@ class Asking:
         leaps = {target: asdict(leap) for target, leap in self.leaps.items() if leap.origin >= 0}
         origins = [{"noise": origin.noise, "route": origin.route} for origin in self.origins]
         return {"origins": origins, "leaps": leaps, "asked": dict(self.asked), "raced": list(self.raced),
-                "corners": {path: left if np.isfinite(left) else None for path, left in self.corners.items()}}  # fmt: skip
+                "corners": {path: left if np.isfinite(left) else None for path, left in self.corners.items()}}
 
     def restore(
         self, tensors: dict[str, np.ndarray], state: Mapping[str, Any], policy: GaussianPolicy, value: ValueFunction

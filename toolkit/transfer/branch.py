@@ -150,7 +150,7 @@ class Branch:
             Branch(path := f"{self.path}.{number}", self.alpha, [name for name in self.targets if name in part], self.policy.copy(),
                    self.value.copy(), Ledger([*self.ledger.route, "meta"]), path_generator(seed, path), noise=self.noise)
             for number, part in enumerate(ordered, start=1)
-        ]  # fmt: skip
+        ]
 
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
         """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
@@ -199,7 +199,7 @@ _ARRAYS = ("next_alpha", "features", "deviation", "centre")
 _PLAIN = (
     "path", "targets", "window", "noise", "updates", "stage", "looked", "began", "allowance", "strayed",
     "turn", "turns", "idle", "width", "best_drawn", "best_success",
-)  # fmt: skip
+)
 
 
 def stored_branch(
@@ -228,4 +228,4 @@ def stored_branch(
         hopes=list(tensors.get(f"{prefix}.hopes", ())),
         trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
         **{name: tensors.get(f"{prefix}.{name}") for name in _ARRAYS}, **{key: state[key] for key in _PLAIN if key in state},
-    )  # fmt: skip
+    )

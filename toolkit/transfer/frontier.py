@@ -57,7 +57,7 @@ class Frontier:
         """Wall time [s] of the transfer, and of its paths' playing and learning: more than the wall's where they went side by side."""
         ledgers = self._ledgers.values()
         return {"play_s": sum(ledger.play_s for ledger in ledgers), "learn_s": sum(ledger.learn_s for ledger in ledgers),
-                "wall_s": self.wall_s}  # fmt: skip
+                "wall_s": self.wall_s}
 
     def turn(self) -> Branch:
         """Whose turn it is: depth first. But for a tree that asks any order comes to the same."""
@@ -96,7 +96,7 @@ class Frontier:
         state = {
             "pending": [branch.path for branch in self.pending], "arrived": list(self.arrived),
             "paths": {path: state for path, (_, state) in self._kept.items()}, "seconds": self.wall_s,
-        }  # fmt: skip
+        }
         if self._asking is not None:
             tensors |= self._asking.tensors()
             state["asking"] = self._asking.state()

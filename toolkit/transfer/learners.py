@@ -62,7 +62,7 @@ class WeightLearner:
         event = WeightsUpdated(
             learner="npg", train_success=success, mean_return=float(np.mean(returns)), episodes_per_s=size / play_seconds,
             play_s=play_seconds, window=branch.window, kl=statistics["kl"], learn_s=statistics["seconds"],
-        )  # fmt: skip
+        )
         sampler.say(event, branch)
         return success
 
@@ -177,6 +177,6 @@ class SearchLearner:
         event = SearchUpdated(
             learner="search", train_success=float(ended.mean()), mean_return=float(np.mean(returns)),
             episodes_per_s=len(batch) / play_seconds, play_s=play_seconds, turn=branch.turn, learned=learned, width=width,
-        )  # fmt: skip
+        )
         sampler.say(event, branch)
         return learned

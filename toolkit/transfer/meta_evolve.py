@@ -82,7 +82,7 @@ class Transfer:
             policy = policy.copy()
             policy.set_log_std(np.full(len(policy.action_names), math.log(config.exploration)))
         root = Branch("path 1", source.alpha, [target.name for target in targets], policy, value, Ledger([source.name]),
-                      path_generator(config.seed, "path 1"))  # fmt: skip
+                      path_generator(config.seed, "path 1"))
         self.race = None
         if config.kind == "asking":
             self.race = Race(config, Asking(config.metric, LOOKS, config.xi), self.sampler, self.way, self.look_ahead)
@@ -161,7 +161,7 @@ class Transfer:
     def train_for_next(self, branch: Branch, robot: np.ndarray) -> None:
         """One update for the next robot (D,); go there once the policy holds on it."""
         outcome = self.training.train_to(branch, self.players.engine, robot, self.config.threshold, self.config.check_episodes,
-                                         exploring=self.look_ahead.asks_noise(branch, robot))  # fmt: skip
+                                         exploring=self.look_ahead.asks_noise(branch, robot))
         if outcome == "held":
             self.way.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=True)
         elif outcome == "stalled":

@@ -45,7 +45,7 @@ PRESETS: dict[str, dict[str, Any]] = {
              "evaluation_episodes": 200},
     # Every number from the paper's table.
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
-}  # fmt: skip
+}
 """Preset name -> overrides of TransferConfig and NpgConfig, episodes of the final evaluation, and targets other than the usual three."""
 AUDITED = 5
 """Robots per edge that are measured before a transfer begins."""
@@ -82,7 +82,7 @@ class Job:
         asked = {
             "source": self.source.name, "targets": [robot.name for robot in self.targets], "task": self.task.name,
             "transfer": asdict(self.transfer), "evaluation_episodes": self.evaluation_episodes,
-        }  # fmt: skip
+        }
         return asked if self.expert is None else asked | {"expert": self.expert}
 
 
@@ -181,7 +181,7 @@ class Pipeline:
     def __init__(
         self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None,
         record: Begin | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         policy, value = load_expert(job.source.name, job.task, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch, self._begin = job, watch, record
@@ -204,7 +204,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 Explored(job.task.explored, job.task.responding), self._bends())  # fmt: skip
+                                 Explored(job.task.explored, job.task.responding), self._bends())
         if resume:
             try:
                 self.transfer.restore()
@@ -254,7 +254,7 @@ class Pipeline:
             return
         bend = self.job.transfer.path == "bent"
         edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=2 * bend, scripted=1, causes=False,
-                          brief=True)  # fmt: skip
+                          brief=True)
         self.run.write_json("audit", {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]})
         self.watch({"event": "audited", "verdict": verdict(edges)})
 
@@ -263,7 +263,7 @@ class Pipeline:
         below, edges = self.tree.below(), read_audit(self.run.path)["edges"]
         alphas = {node.name: node.alpha for node in self.tree.nodes}
         return {below[edge["to"]]: Bend(alphas[edge["from"]], self.lab.space.side(edge["first"]), edge.get("lead", 1.0))
-                for edge in edges if edge.get("first") in SIDES}  # fmt: skip
+                for edge in edges if edge.get("first") in SIDES}
 
     def _stalled(self, branch: Branch) -> None:
         """Ask of a path whose budget is spent what changes on the robots where it stands."""
@@ -281,7 +281,7 @@ class Pipeline:
     def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
         """Remember the episodes worth seeing."""
         self.story.aside(lambda: self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise,
-                                                  branch.updates))  # fmt: skip
+                                                  branch.updates))
 
     def _seen(self, entry: Entry, branch: Branch) -> None:
         """Pass an event on to the terminal and into the recording."""
@@ -364,7 +364,7 @@ def _needed(untrained: dict[str, Any]) -> list[str]:
     without = [name for name, found in untrained.items() if found["success_rate"] >= ENOUGH]
     needed = [name for name in untrained if name not in without]
     return [f"Evolution {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
-            for verb, names in (("was", needed), ("was not", without)) if names]  # fmt: skip
+            for verb, names in (("was", needed), ("was not", without)) if names]
 
 
 def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
@@ -372,7 +372,7 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
     lines = [
         f"# {markdown(report['source'])} to {markdown(', '.join(report['targets']))}: {markdown(report['task'])}", "",
         "| target | direct, untrained | unmodified robot | 95 % interval | F(beta) |", "|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     for name, both in report["targets"].items():
         low, high = both["native"]["ci95"]
         cells = (markdown(name), _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
@@ -395,5 +395,5 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
         f"{report['time']['outside_playing']:.0%} went into anything but playing episodes ({report['time']['learn_s']:.0f} s into "
         f"learning). Diverged simulations: {totals['diverged']} (counted as failures)"
         f"{'; the first lies in divergence.npz, for `meta-evolve replay`' if totals['diverged'] else ''}.",
-    ]  # fmt: skip
+    ]
     return "\n".join(lines) + "\n"

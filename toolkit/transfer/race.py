@@ -46,7 +46,7 @@ class Race:
         promises = {
             index: self.asking.promise(other, self.way.goal(other), other.ledger.cost.sim_epochs)
             for index, other in enumerate(pending) if other.alone
-        }  # fmt: skip
+        }
         branch = pending.pop(min(promises, key=lambda index: promises[index]))
         branch.allowance = 2 * max(branch.ledger.cost.sim_epochs, self.config.allowance)
         pending.append(branch)
@@ -93,7 +93,7 @@ class Race:
         source = self.asking.origins[0]
         path = f"{branch.path}.0"
         rival = Branch(path, source.alpha, list(branch.targets), source.policy.copy(), source.value.copy(), Ledger(list(source.route)),
-                       path_generator(self.config.seed, path), noise=source.noise, strayed=True)  # fmt: skip
+                       path_generator(self.config.seed, path), noise=source.noise, strayed=True)
         self.asking.raced.append(branch.targets[0])
         self.sampler.say(Split(parent="path 1", targets=branch.targets[0], rival=branch.path), rival)
         self.begin(rival)

@@ -108,7 +108,7 @@ class Sampler:
     def success(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False,
         hasty: bool = False, look: bool = False, floor: float | None = None,
-    ) -> float:  # fmt: skip
+    ) -> float:
         """Success rate of the policy on the robot ``alpha`` (D,), stopped once it is sure to be at least ``wanted``, or below ``floor``.
 
         Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` one also ends after its first episodes where these

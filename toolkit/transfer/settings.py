@@ -88,7 +88,7 @@ class TransferConfig:
 
     def __post_init__(self) -> None:
         for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1),
-                                ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):  # fmt: skip
+                                ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")
@@ -97,11 +97,11 @@ class TransferConfig:
         if not 0 < self.pull < math.inf:
             raise ToolkitError(f"transfer's pull is {self.pull}; give a positive number")
         for name, low in (("check_episodes", 1), ("goal_episodes", 1), ("check_every", 1), ("path_budget", 0), ("seed", 0),
-                          ("jacobian_episodes", 2), ("demonstrations", 0), ("patience", 1), ("allowance", 1)):  # fmt: skip
+                          ("jacobian_episodes", 2), ("demonstrations", 0), ("patience", 1), ("allowance", 1)):
             if getattr(self, name) < low:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
         for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("kind", METHODS), ("metric", METRICS),
-                            ("learner", LEARNERS)):  # fmt: skip
+                            ("learner", LEARNERS)):
             if getattr(self, name) not in known:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)!r}; there are: {', '.join(known)}")
         if self.learner == "search" and self.step == "fixed":

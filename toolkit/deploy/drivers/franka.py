@@ -91,7 +91,7 @@ class Franka:
             least_fresh(stamp, self._clock(float(state.time.to_sec()))), np.array(state.q, float), position, quaternion, goal,
             opening=float(np.clip(width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
             efforts=np.array(state.tau_J, float), fault=fault,
-        )  # fmt: skip
+        )
 
     def send(self, command: Command) -> Command:
         """See Driver. Asynchronous: a new motion takes over from the last one without a jump.

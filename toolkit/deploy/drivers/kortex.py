@@ -148,7 +148,7 @@ class Kortex:
             least_fresh(stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
             efforts=np.array([actuator.torque for actuator in actuators], float), fault=self._trouble or self._complaint(feedback),
-        )  # fmt: skip
+        )
 
     def _complaint(self, feedback: Any) -> str:
         """What the arm says of itself; empty if nothing. The base's own fault bits are no matter: they stay set after a fault is gone."""
@@ -264,4 +264,4 @@ def _package() -> _Api:
         raise ToolkitError(f"the Gen3 driver needs Kinova's kortex_api ({error}); its wheel is on Kinova's own site, not on PyPI") from None
     errors = (OSError, RuntimeError, KClientException, KServerException)
     return _Api(TCPTransport, RouterClient, RouterClientSendOptions, SessionManager, BaseClient, BaseCyclicClient, Session_pb2, Base_pb2,
-                errors)  # fmt: skip
+                errors)

@@ -61,7 +61,7 @@ class Ros2:
     def __init__(
         self, publisher: Any, trajectory: Any, point: Any, duration: Any, robot: str, joints: Sequence[str], ros_names: Sequence[str],
         scene: Scene, gripper: Grip, opening: Callable[[], float],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.publisher, self.trajectory, self.point, self.duration = publisher, trajectory, point, duration
         self.robot, self.names, self.ros_names = robot, tuple(joints), tuple(ros_names)
         self.scene, self.gripper, self.opening = scene, gripper, opening
@@ -110,7 +110,7 @@ class Ros2:
         position, quaternion, goal, seen = self.scene()
         speeds, efforts = self._present("speed", message.velocity, order), self._present("effort", message.effort, order)
         return State(least_fresh(stamp, seen), np.array(message.position, float)[order], position, quaternion, goal, opening=self.opening(),
-                     speeds=speeds, efforts=efforts, fault=self._stopped)  # fmt: skip
+                     speeds=speeds, efforts=efforts, fault=self._stopped)
 
     def _present(self, what: str, values: Sequence[float], order: list[int]) -> np.ndarray | None:
         """What a message says of an interface, (n,) in the arm's order; None where the arm does not have it for every joint."""
@@ -161,7 +161,7 @@ class Ros2:
 def open_arm(
     robot: str, joints: Sequence[str], scene: Scene, gripper: Grip | None = None, opening: Callable[[], float] | None = None,
     ros_names: Sequence[str] | None = None, listens: bool = False, name: str = "meta_evolve",
-) -> tuple[Ros2, Callable[[], None]]:  # fmt: skip
+) -> tuple[Ros2, Callable[[], None]]:
     """An arm of the ROS 2 graph, through a node of its own that a thread spins.
 
     Args:
@@ -194,7 +194,7 @@ def open_arm(
     node = rclpy.create_node(name)
     publisher = None if listens else node.create_publisher(JointTrajectory, TRAJECTORY, 1)
     arm = Ros2(publisher, JointTrajectory, JointTrajectoryPoint, Duration, robot, joints, names, scene, gripper or _nothing,
-               opening or _open)  # fmt: skip
+               opening or _open)
     node.create_subscription(JointState, STATES, arm.heard, 1)
     ended = threading.Event()
 
@@ -245,7 +245,7 @@ def controllers_yaml(manifest: Manifest, ros_names: Sequence[str], update_hz: in
         "    state_interfaces:", "      - position", "      - velocity", "    allow_partial_joints_goal: false",
         "    allow_nonzero_velocity_at_trajectory_end: true", f"    cmd_timeout: {WATCHDOG}", "    constraints:", "      goal_time: 0.0",
         *(f"      {name}:\n        trajectory: {manifest.watch.tracking_rad}" for name in ros_names),
-    ]  # fmt: skip
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -282,7 +282,7 @@ class TfScene:
     def __init__(
         self, lookup: Callable[..., Any], latest: Any, manifest: Manifest, object_frame: str, errors: tuple[type[Exception], ...],
         task_frame: str = "task",
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._lookup, self._latest, self._frames, self._errors = lookup, latest, (task_frame, object_frame), errors
         self._offset = np.array(manifest.task.goal_offset_m)
         self._goal: np.ndarray | None = None

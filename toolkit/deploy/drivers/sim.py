@@ -78,7 +78,7 @@ class SimDriver:
         found = self._ask({"do": "read"})
         try:
             arrays = {key: np.array(found[key], float) for key in ("joints", "fingers", "speeds", "efforts", "object_position",
-                                                                    "object_quaternion", "goal")}  # fmt: skip
+                                                                    "object_quaternion", "goal")}
             return State(asked - float(found["age"]), opening=None, fault=str(found["fault"]), outcome=str(found["outcome"]), **arrays)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise self._odd(error) from None

@@ -124,7 +124,7 @@ class UniversalRobots:
         return State(
             least_fresh(stamp, self._clock(float(receive.getTimestamp()))), joints, position, quaternion, goal, opening=self.opening(),
             speeds=speeds if len(speeds) else None, efforts=efforts if len(efforts) else None, fault=fault,
-        )  # fmt: skip
+        )
 
     def send(self, command: Command) -> Command:
         """See Driver. The waypoints go out one by one, 2 ms apart.

@@ -27,7 +27,7 @@ TITLES = {
     "time/own": "The runtime's own time [ms]", "time/arm": "Waiting for the arm [ms]", "state/age": "Age of the state [ms]",
     "state/held": "Held and late ticks", "action": "Action of the policy", "arm/joints": "Arm angles [rad]",
     "object/height": "Height of the object [m]",
-}  # fmt: skip
+}
 _NUMBERS = [(float, None)]
 _NOTE = {"episode": int}
 _TICK = _NOTE | {"tick": int, "late": bool, "hold": bool, "action": _NUMBERS} | {f"{stage}_ms": float for stage in STAGES}
@@ -87,7 +87,7 @@ def read_log(log: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     if odd:
         key, row = odd[0]
         raise ToolkitError(f"{log} is damaged: tick {row.get('tick')} of episode {row['episode']} has {len(row[key])} numbers of {key}, "
-                           f"not {wanted[key]}; delete that line")  # fmt: skip
+                           f"not {wanted[key]}; delete that line")
     return about, rows
 
 
@@ -133,7 +133,7 @@ def _layout(curves: dict[str, tuple[tuple[str, ...], np.ndarray]]) -> rrb.Bluepr
         whole = rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
         views[entity] = rrb.TimeSeriesView(
             origin=entity, name=TITLES[entity], axis_x=whole, axis_y=rrb.ScalarAxis(range=(low - room, high + room)),
-            plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop))  # fmt: skip
+            plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop))
     columns = [rrb.Vertical(*(views[entity] for entity in names if entity in views)) for names in PAGE]
     summary = rrb.TextDocumentView(origin="summary", name="What happened")
     return quiet_layout(rrb.Horizontal(summary, *columns, column_shares=[1, 2, 2]), TIMELINE)
@@ -148,7 +148,7 @@ def _summary(about: dict[str, Any], rows: list[dict[str, Any]], ticks: list[dict
         own = np.array([sum(row[f"{stage}_ms"] for stage in STAGES[1:4]) for row in ticks])
         half, most = np.percentile(own, [50, 99])
         lines += [f"Half of the ticks took less than {half:.2f} ms, 99 of 100 less than {most:.2f} ms, the longest {own.max():.2f} ms. "
-                  f"Late ticks: {sum(row['late'] for row in ticks)}.", ""]  # fmt: skip
+                  f"Late ticks: {sum(row['late'] for row in ticks)}.", ""]
     lines += [f"- held for {markdown(kind)}: {count} ticks" for kind, count in faults.items()] or ["No fault."]
     lines += [f"- episode {row['episode']} stopped: {markdown(str(row['stop']))}" for row in rows if "stop" in row]
     return "\n".join(lines)

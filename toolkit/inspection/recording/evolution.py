@@ -74,7 +74,7 @@ class EvolutionPage:
         if self.space is not None:
             colours = heat(alphas).reshape(-1, 3)
             self.stream.rows("evolution/alpha/cells", film, iteration, rr.Points2D.columns(
-                positions=np.tile(self._cells, (count, 1)), colors=colours).partition([len(self._cells)] * count))  # fmt: skip
+                positions=np.tile(self._cells, (count, 1)), colors=colours).partition([len(self._cells)] * count))
             for k in sorted({*range(0, count, TABLES), count - 1}):
                 text = rr.TextDocument(self._changes(alphas[k]), media_type=rr.MediaType.MARKDOWN)
                 self.stream.row("evolution/changes", float(film[k]), iteration, text)
@@ -211,7 +211,7 @@ def recorded_extent(chunks: Iterable[Chunk]) -> Extent | None:
             found.setdefault(name, {}).update({key: value for key, value in row.items() if value is not None})
     try:
         cells, rows, heads = (found[name][f"Points2D:{key}"] for name, key in
-                              (("cells", "positions"), ("rows", "labels"), ("columns", "positions")))  # fmt: skip
+                              (("cells", "positions"), ("rows", "labels"), ("columns", "positions")))
     except KeyError:
         return None
     return _extent(np.array(cells), rows, heads)
@@ -233,7 +233,7 @@ def evolution_views(plan: Plan, extent: Extent | None) -> dict[str, rrb.View]:
         "pca3": rrb.Spatial3DView(
             origin="evolution/pca3", name=f"3 components: {sum(share[:3]):.0%} of the variance", background=DARK, line_grid=False,
             eye_controls=rrb.EyeControls3D(position=(15.0, -21.0, 15.0), look_target=spots.mean(axis=0), eye_up=(0.0, 0.0, 1.0))),
-    }  # fmt: skip
+    }
     if extent is not None:
         size, left, right, top, bottom = extent
         bounds = rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom))

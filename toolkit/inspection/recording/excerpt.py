@@ -32,7 +32,7 @@ ROOTS = {
 """Page -> the entities that it shows."""
 CURVE, MESH, PLACES, TURNS, FADE = (
     "Scalars:scalars", "Mesh3D:vertex_positions", "InstancePoses3D:translations", "InstancePoses3D:quaternions", "Mesh3D:albedo_factor",
-)  # fmt: skip
+)
 ALWAYS = np.iinfo(np.int64).min
 
 
@@ -146,9 +146,9 @@ def _baked(state: dict[str, dict[str, Part]]) -> Iterator[tuple[str, dict[str, P
         vertices, normals, colours = (np.concatenate([mesh[k] for mesh in meshes]) for k in range(3))
         faces = np.concatenate([mesh[3] + start for mesh, start in zip(meshes, starts[:-1], strict=True)])
         mesh = rr.Mesh3D(vertex_positions=vertices, vertex_normals=normals, vertex_colors=colours, triangle_indices=faces,
-                         albedo_factor=(255, 255, 255, opacity))  # fmt: skip
+                         albedo_factor=(255, 255, 255, opacity))
         yield f"scene/baked/{opacity}", {str(k): Part(batch.component_descriptor(), batch.as_arrow_array(), 0)
-                                         for k, batch in enumerate(mesh.as_component_batches())}  # fmt: skip
+                                         for k, batch in enumerate(mesh.as_component_batches())}
 
 
 def _instances(parts: dict[str, Part]) -> Iterator[tuple[np.ndarray, ...]]:

@@ -86,7 +86,7 @@ class LearningPage:
         colours = [PATH_COLOURS[k % len(PATH_COLOURS)] for k in range(len(self.paths))]
         for key in CURVES:
             self.stream.static(f"learning/{key}", rr.SeriesLines(names=self.paths, colors=colours, widths=[2.0] * len(colours)),
-                               rr.SeriesPoints(names=self.paths, colors=colours, marker_sizes=[3.0] * len(colours)))  # fmt: skip
+                               rr.SeriesPoints(names=self.paths, colors=colours, marker_sizes=[3.0] * len(colours)))
 
 
 def flat_curves(chunks: Iterable[Chunk]) -> set[str]:
@@ -112,4 +112,4 @@ def learning_views(flat: Collection[str] = ()) -> dict[str, rrb.View]:
             origin=f"learning/{key}", name=title, axis_y=unit if "success" in key else None,
             plot_legend=rrb.PlotLegend(visible=key == "success", corner=rrb.Corner2D.RightBottom))
         for key, title in CURVES.items()
-    }  # fmt: skip
+    }

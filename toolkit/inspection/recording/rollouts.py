@@ -15,7 +15,7 @@ from toolkit.inspection.recording.stream import Stream
 
 BLUE, ORANGE, GREEN, VERMILION, GREY, SKY, PINK = (
     (0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (120, 120, 120), (86, 180, 233), (204, 121, 167),
-)  # fmt: skip
+)
 LINES = {
     "position": (("x wanted", SKY), ("y wanted", ORANGE), ("z wanted", PINK), ("x", BLUE), ("y", VERMILION), ("z", GREEN)),
     "action": (("dx", BLUE), ("dy", VERMILION), ("dz", GREEN), ("rx", SKY), ("ry", ORANGE), ("rz", PINK), ("close", (150, 150, 150))),
@@ -63,7 +63,7 @@ class RolloutsPage:
         reward = np.stack([film.rewards, film.closing], axis=1)
         gap = times[len(after)] + 1e-3  # a line would otherwise run on to the next episode
         for key, values in (("position", position), ("action", action), ("distance", distance), ("grip", film.grip[:, None]),
-                            ("reward", reward)):  # fmt: skip
+                            ("reward", reward)):
             ended = np.concatenate([values, np.full((1, values.shape[1]), np.nan)])
             columns = rr.Scalars.columns(scalars=ended.ravel()).partition([values.shape[1]] * len(ended))
             self.stream.rows(f"{self.root}/{key}", np.append(after, gap), iteration, columns)
@@ -81,6 +81,6 @@ def rollouts_views(root: str = SIGNALS, whole: bool = False) -> dict[str, rrb.Vi
         key: rrb.TimeSeriesView(origin=f"{root}/{key}", name=title, axis_x=window,
                                 plot_legend=rrb.PlotLegend(visible=len(LINES[key]) == 2, corner=rrb.Corner2D.RightTop))
         for key, title in TITLES.items()
-    }  # fmt: skip
+    }
     views["caption"] = rrb.TextDocumentView(origin=f"{root}/caption", name="Episode")
     return views

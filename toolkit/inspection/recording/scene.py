@@ -115,7 +115,7 @@ class Casting:
         weights[:, index] = 1.0
         none = (np.empty((steps, 0, 3)), np.empty((steps, 0, 4)))
         return Cast(positions, quaternions, weights, (*none, np.empty((steps, 0, 2))), (*none, np.empty((steps, 0, 2))),
-                    (*none, np.empty((steps, 0, 3))), carried)  # fmt: skip
+                    (*none, np.empty((steps, 0, 3))), carried)
 
     def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, weights: np.ndarray) -> Cast:
         positions, quaternions = self.wardrobe.poses(data, self._links)
@@ -126,7 +126,7 @@ class Casting:
         (bones, pads, boxes) = parts
         carried = np.array([*data.xpos[self._object], *data.xquat[self._object]])
         return Cast(positions[None], quaternions[None], weights[None], (*bones[:2], bones[2][..., :2]),
-                    (*pads[:2], pads[2][..., :2]), boxes, carried[None])  # fmt: skip
+                    (*pads[:2], pads[2][..., :2]), boxes, carried[None])
 
 
 def _joined(frames: list[Cast]) -> Cast:
@@ -134,7 +134,7 @@ def _joined(frames: list[Cast]) -> Cast:
     stack = lambda name: np.concatenate([getattr(frame, name) for frame in frames])  # noqa: E731
     triple = lambda name: tuple(np.concatenate([getattr(frame, name)[k] for frame in frames]) for k in range(3))  # noqa: E731
     return Cast(stack("positions"), stack("quaternions"), stack("weights"), triple("bones"), triple("pads"), triple("boxes"),
-                stack("carried"))  # fmt: skip
+                stack("carried"))
 
 
 class Scene:
@@ -240,12 +240,12 @@ class Scene:
             each = [count] * frames
             columns = rr.Capsules3D.columns(
                 translations=begin.reshape(-1, 3), quaternions=x_first(quaternions).reshape(-1, 4), radii=radius.ravel(),
-                lengths=2 * half.ravel()).partition(each)  # fmt: skip
+                lengths=2 * half.ravel()).partition(each)
             self.stream.rows(f"scene/robot/{name}", times, iteration, columns)
         positions, quaternions, sizes = (np.concatenate([cast.boxes[k] for cast in casts], axis=1) for k in range(3))
         self.stream.rows("scene/robot/boxes", times, iteration, rr.Boxes3D.columns(
             centers=positions.reshape(-1, 3), quaternions=x_first(quaternions).reshape(-1, 4),
-            half_sizes=sizes.reshape(-1, 3)).partition([positions.shape[1]] * frames))  # fmt: skip
+            half_sizes=sizes.reshape(-1, 3)).partition([positions.shape[1]] * frames))
 
     def _touches(self, times: np.ndarray, iteration: int, films: Sequence[Film]) -> None:
         origins, vectors, lengths = [], [], []
@@ -301,4 +301,4 @@ def _held(values: np.ndarray, count: int) -> np.ndarray:
 def _stretched(cast: Cast, count: int) -> Cast:
     triple = lambda part: tuple(_held(array, count) for array in part)  # noqa: E731
     return Cast(_held(cast.positions, count), _held(cast.quaternions, count), _held(cast.weights, count), triple(cast.bones),
-                triple(cast.pads), triple(cast.boxes), _held(cast.carried, count))  # fmt: skip
+                triple(cast.pads), triple(cast.boxes), _held(cast.carried, count))

@@ -194,7 +194,7 @@ def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprin
     """The layout of a comparison, or of an excerpt of one."""
     views = [rollouts_views(_side(k), excerpt) for k in range(len(labels))]
     columns = [rrb.Vertical(view["caption"], view["distance"], view["position"], view["grip"], row_shares=[1, 2, 2, 2], name=label)
-               for label, view in zip(labels, views, strict=True)]  # fmt: skip
+               for label, view in zip(labels, views, strict=True)]
     scene = robot_view("Side by side, same seed: " + " | ".join(labels), FRONT)
     return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[6, 5]), FILM)
 
@@ -219,7 +219,7 @@ def _summary(folder: Path, records: list[dict[str, Any]]) -> str:
         return (folder / "summary.md").read_text(encoding="utf-8", errors="replace")
     arrived = [record["target"] for record in records if record["event"] == "arrived"]
     return (f"The run goes on, or was stopped: {len(records)} records; targets reached: {markdown(', '.join(arrived)) or 'none yet'}. "
-            f"Continue it with `{continuing(folder)}`.")  # fmt: skip
+            f"Continue it with `{continuing(folder)}`.")
 
 
 def _edges_to(plan: Plan, source: str, target: str) -> list[dict[str, Any]]:

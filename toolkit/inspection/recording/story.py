@@ -56,13 +56,13 @@ class Cost:
     def __str__(self) -> str:
         left = "" if self.drawn == self.known else f"; play the rest with: {told('view', self.run, '--rebuild')}"
         return (f"recording: {self.size / 1e6:.1f} MB, {self.seconds:.1f} s of logging ({self.seconds / max(self.wall, 1e-9):.1%} of "
-                f"{self.wall:.0f} s), {self.drawn} of {self.known} episodes{left}")  # fmt: skip
+                f"{self.wall:.0f} s), {self.drawn} of {self.known} episodes{left}")
 
 
 def begin_story(
     folder: Path, merged: MergedRobot, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Plant],
     records: Sequence[dict[str, Any]],
-) -> "Story":  # fmt: skip
+) -> "Story":
     """The recording of a run that goes on, into its folder; the arguments are those of ``Story``."""
     return Story(Stream(folder / "recording.rrd"), folder, merged, tree, policy, native, SHARE, records)
 
@@ -276,7 +276,7 @@ class Story:
         robot = f"F(alpha) at {where}" if phase.stage == "evolve" else f"the unmodified {markdown(phase.targets[0])}"
         played = f"exploring, after {take.update} updates" if take.noise else "without noise"
         return (f"**{markdown(phase.path)}, phase {phase.number} ({markdown(phase.stage)})**: {', '.join(take.roles)} episode on {robot}, "
-                f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")  # fmt: skip
+                f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")
 
 
 def story_layout(
@@ -294,7 +294,7 @@ def story_layout(
 
     def views() -> dict[str, rrb.View]:
         own = {"scene": robot_view("Episode: goal, trail, OSC target, contact forces"),
-               "summary": rrb.TextDocumentView(origin="summary", name="Summary")}  # fmt: skip
+               "summary": rrb.TextDocumentView(origin="summary", name="Summary")}
         return evolution_views(plan, extent) | learning_views(flat) | rollouts_views(whole=excerpt) | own
 
     return pages_layout(views, page, page_timeline(page))

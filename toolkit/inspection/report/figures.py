@@ -59,7 +59,7 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
         line = plan.stretch(edge, 0.0, 1.0)
         axes.plot(*line.T, color="#bbbbbb", linewidth=1.2, zorder=1)
         axes.annotate(f"{edge['length']:.1f}", (line[-2] + line[-1]) / 2 + (0, -8), ha="center", va="bottom", fontsize=8, color="#444444",
-                      bbox=PAPER, zorder=4)  # fmt: skip
+                      bbox=PAPER, zorder=4)
     for start, end, share, success in walked:
         edge = next(edge for edge in plan.edges if (edge["from"], edge["to"]) == (start, end))
         line = plan.stretch(edge, 0.0, share)
@@ -72,7 +72,7 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
         axes.plot(*plan.places[name], marker, color="white", markeredgecolor="black", markersize=9, zorder=3)
         left = node["kind"] == "source"
         axes.annotate(name, plan.places[name], xytext=(-8 if left else 8, 8), textcoords="offset points", fontsize=9, weight="bold",
-                      ha="right" if left else "left", zorder=4)  # fmt: skip
+                      ha="right" if left else "left", zorder=4)
     axes.margins(x=0.2, y=0.2)
     axes.invert_yaxis()
     axes.set_axis_off()
@@ -137,15 +137,15 @@ def curves_figure(records: Sequence[dict[str, Any]]) -> Figure:
     for axes, (key, (event, name, title)) in zip(panels, shown.items(), strict=True):
         for k, path in enumerate(paths):
             points = [(i, record[name]) for i, record in enumerate(records)
-                      if record["path"] == path and event in (None, record["event"]) and record.get(name) is not None]  # fmt: skip
+                      if record["path"] == path and event in (None, record["event"]) and record.get(name) is not None]
             if points:
                 axes.plot(*zip(*points, strict=True), color=COLOURS[k % 8], linestyle=DASHES[k % 8], marker=MARKERS[k % 8], markersize=3.5,
-                          linewidth=1.3, label=path)  # fmt: skip
+                          linewidth=1.3, label=path)
             short = [(i, record[name]) for i, record in enumerate(records) if record["path"] == path and event == record["event"] == "check"
-                     and record.get("held") is False]  # fmt: skip
+                     and record.get("held") is False]
             if short:
                 axes.plot(*zip(*short, strict=True), linestyle="", marker=MARKERS[k % 8], markersize=3.5, color=COLOURS[k % 8],
-                          markerfacecolor="white", zorder=3)  # fmt: skip
+                          markerfacecolor="white", zorder=3)
         if not axes.lines:
             axes.annotate("none yet", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=8, color="#666666")
         if "success" in key:

@@ -44,7 +44,7 @@ class _Html(str):
 
 
 def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: Path | None = None,
-                 progress: Callable[[str], None] = lambda what: None) -> Path:  # fmt: skip
+                 progress: Callable[[str], None] = lambda what: None) -> Path:
     """Write the page and its pictures; works on a run that goes on, or was stopped, too.
 
     Args:
@@ -73,7 +73,7 @@ def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: P
     pictures["projection"] = figures.png(figures.projection_figure(plan, ways))
     pictures["curves"] = figures.png(figures.curves_figure(records))
     pictures["parameters"] = figures.png(figures.heat_figure(merged.space, {
-        name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))  # fmt: skip
+        name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))
     audit = read_audit(folder)
     if audit is not None:
         pictures["audit"] = figures.png(audit_figure(audit["edges"]))
@@ -134,12 +134,12 @@ def _strips(plan: Plan, merged: MergedRobot, progress: Callable[[str], None]) ->
 
 
 def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str, Phase], report: dict[str, Any] | None,
-          pictures: dict[str, bytes], missing: list[str]) -> str:  # fmt: skip
+          pictures: dict[str, bytes], missing: list[str]) -> str:
     config = run.config
     title = f"{config.get('source', '?')} to {', '.join(config.get('targets', []))}: {config.get('task', '?')}"
     parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(config, records, report)]
     legend = ("To scale, lengths on the edges. Square: source; diamonds: meta robots; circles: targets. Thick: walked; the darker, the "
-              "more success. Thin: planned.")  # fmt: skip
+              "more success. Thin: planned.")
     parts += ["<h2>Evolution tree</h2>", _figure(pictures, "tree", legend)]
     parts += [_figure(pictures, "projection", "The tree and the walked paths in the plane in which the robots differ most.")]
     legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
@@ -148,7 +148,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     audit = read_audit(run.path)
     if audit is not None:
         legend = ("What the robots of every edge can do, without any policy: dots are its ends, crosses robots that are worse than the "
-                  "ends allow; what they allow is grey.")  # fmt: skip
+                  "ends allow; what they allow is grey.")
         parts += [f"<p>{html.escape(audit['verdict'])}</p>", _figure(pictures, "audit", legend)]
     parts += [f'<p class="note">{html.escape(f"{path}: {why}")}</p>' for path, why in ((report or {}).get("stalls") or {}).items()]
     parts += [f'<p class="note">{html.escape(why)}</p>' for why in missing]
@@ -174,11 +174,11 @@ def _status(records: list[dict[str, Any]], report: dict[str, Any] | None) -> str
         return (f"<p>Finished: {totals['train_iterations']} updates, {totals['sim_epochs']} training episodes, {totals['check_episodes']} "
                 f"checking episodes, {totals['diverged']} diverged simulations. "
                 f"The transfer took {report['time']['wall_s'] / 60:.1f} minutes, with the final evaluation "
-                f"{report['wall_s'] / 60:.1f}.</p>")  # fmt: skip
+                f"{report['wall_s'] / 60:.1f}.</p>")
     reached = [record["target"] for record in records if record["event"] == "arrived"]
     names = html.escape(", ".join(reached) or "none yet")
     return (f'<p class="note">Not finished: {len(records)} records so far; targets reached: {names}. '
-            "Success on the unmodified robots is measured at the end.</p>")  # fmt: skip
+            "Success on the unmodified robots is measured at the end.</p>")
 
 
 def _targets(config: dict[str, Any], records: list[dict[str, Any]], report: dict[str, Any] | None) -> str:
@@ -194,7 +194,7 @@ def _targets(config: dict[str, Any], records: list[dict[str, Any]], report: dict
         low, high = native["ci95"]
         bar = f'<span class="bar" style="width:{4 * native["success_rate"]:.2f}em"></span>'
         rows.append([name, _Html(f"{bar}{native['successes']} of {native['episodes']}"), f"{low:.2f} to {high:.2f}",
-                     f"{merged['successes']} of {merged['episodes']}"])  # fmt: skip
+                     f"{merged['successes']} of {merged['episodes']}"])
     return _table(head, rows)
 
 
@@ -211,7 +211,7 @@ def _paths(records: list[dict[str, Any]]) -> str:
     totals = ("train_iterations", "sim_epochs", "check_episodes", "diverged")
     share = lambda of, path: f"{of[path]:.0%}" if path in of else ""  # noqa: E731
     rows = [[path, f"{record['event']} ({record['stage']})", *(record[key] for key in totals), share(success, path), share(lowest, path)]
-            for path, record in last.items()]  # fmt: skip
+            for path, record in last.items()]
     return _table(("path", "last event", "updates", "training episodes", "checking episodes", "diverged", "last success", "lowest"), rows)
 
 

@@ -54,7 +54,7 @@ class Studio:
     def draw(
         self, positions: np.ndarray, quaternions: np.ndarray, weights: np.ndarray, carried: np.ndarray | None = None,
         goal: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Picture (height, width, 3), 0 to 255.
 
         Args:
@@ -73,7 +73,7 @@ class Studio:
         for k, item in enumerate(self.wardrobe.worn):
             self._data.mocap_pos[k], self._data.mocap_quat[k] = positions[k], quaternions[k]
             twins = [j for j in drawn if self.wardrobe.worn[j].mesh == item.mesh and self.wardrobe.worn[j].robot != item.robot
-                     and np.abs(positions[j] - positions[k]).max() < 1e-3]  # fmt: skip
+                     and np.abs(positions[j] - positions[k]).max() < 1e-3]
             shares[k] = weights[item.robot]
             if twins:  # arms that robots share: one picture, with the weight of both
                 shares[twins[0]] += shares[k]
@@ -103,7 +103,7 @@ def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.55, 0.55, 0.55]
     spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-                     rgb1=[0.86, 0.88, 0.91], rgb2=[0.86, 0.88, 0.91], width=64, height=384)  # fmt: skip
+                     rgb1=[0.86, 0.88, 0.91], rgb2=[0.86, 0.88, 0.91], width=64, height=384)
     for index, mesh in enumerate(wardrobe.meshes):
         asset = spec.add_mesh(name=f"mesh{index}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
@@ -115,7 +115,7 @@ def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
         asset = spec.add_mesh(name=mesh.name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, contype=0, conaffinity=0,
-                                rgba=mesh.colours.mean(axis=0) / 255)  # fmt: skip
+                                rgba=mesh.colours.mean(axis=0) / 255)
     thing = body_mesh(merged.template, merged.template.body("object").id)
     asset = spec.add_mesh(name="object", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     asset.uservert, asset.userface = thing.vertices.ravel(), thing.faces.ravel().astype(int)

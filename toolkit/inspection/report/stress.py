@@ -34,7 +34,7 @@ def stress_figure(robot: str, tried: Sequence[Tried], file: Path) -> None:
 def _panel(panel: "Axes", name: str, nominal: Tried, tried: Sequence[Tried], borne: tuple[float, float]) -> None:
     condition = CONDITIONS[name]
     points = sorted([(condition.nominal, nominal.rate), *((t.conditions[name], t.rate) for t in tried
-                                                          if set(t.conditions) == {name})])  # fmt: skip
+                                                          if set(t.conditions) == {name})])
     panel.axvspan(*borne, color="0.9")
     panel.axhline(GOOD, color="0.6", linewidth=0.8, linestyle=":")
     panel.plot(*zip(*points, strict=True), color="#0072b2", marker="o", markersize=4)

@@ -38,7 +38,7 @@ GIF_EVERY, GIF_WIDTH = 2, 480
 def write_video(
     folder: Path, merged: MergedRobot, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Plant], out: Path,
     progress: Callable[[str], None] = lambda what: None,
-) -> float:  # fmt: skip
+) -> float:
     """Write a run folder as a film.
 
     Args:
