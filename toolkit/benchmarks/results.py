@@ -78,9 +78,10 @@ class Result:
         return self.report["task"] + (f" (expert {expert})" if expert else "")
 
     @property
-    def terms(self) -> tuple[str, str, str]:
-        """What a tree and independent paths must have in common to be compared: task and expert, metric, steps."""
-        return self.task, self.report["metric"], self._steps
+    def terms(self) -> tuple[str, str]:
+        """What a tree and independent paths must have in common to be compared: task and expert, steps. A straight path is the same in
+        every metric."""
+        return self.task, self._steps
 
     def cost_to(self, target: str, key: str) -> int | None:
         """Cost of the way to one target: of the paths from the source to it, those shared with others included.

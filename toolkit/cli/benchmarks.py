@@ -95,7 +95,7 @@ SUITES: dict[str, dict[str, Entry]] = {
         **{f"found-jaws-{seed}": replace(FOUND, seed=seed, targets=JAWS) for seed in range(3)},
         **{f"found-jaws-independent-{seed}": replace(FOUND, seed=seed, targets=JAWS, kind="independent") for seed in range(3)},
         "found-direct-0": replace(FOUND, kind="direct", budget=1_000),
-        "found-l2-0": replace(FOUND, metric="l2"),
+        **{f"found-l2-{seed}": replace(FOUND, seed=seed, metric="l2") for seed in range(3)},
         "found-median-0": replace(FOUND, kind="geometric-median"),
         "found-optimised-0": replace(FOUND, kind="independent", path="optimised"),
         "found-can-0": FOUND_CAN,
