@@ -11,8 +11,8 @@ A U of seven cells of 3 m, one around a wall, whose last cell is open to the out
     ------------------+
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -20,7 +20,8 @@ import numpy as np
 
 from robots.ant import ANTS, gymnasium_ant
 from robots.model_robot import ModelRobot
-from tasks.task import ModelTask, by_number
+from tasks.ant_symmetry import eastwards, given_back
+from tasks.task import PractisedTask, by_number
 
 if TYPE_CHECKING:
     import gymnasium
@@ -48,6 +49,12 @@ START_SHIFT, START_YAW = 0.15, 0.1
 longest and widest one nearly reach the walls."""
 ALONG = 0.5
 """Half width [m] of the uniform noise about the centre line, where an ant starts anywhere along it to learn."""
+SCATTERED = 0.75
+"""Share of the episodes to learn from that start there."""
+LOOK_AHEAD = 1.2
+"""How far ahead on the centre line [m] an ant heads that is guided along it."""
+FLOOR_YAW = 0.8
+"""Half width [rad] of the uniform yaw from which an ant learns to run east; by symmetry it never needs more than an eighth of a turn."""
 RESET_NOISE = 0.1
 """Half width of the uniform noise on every number of the start's configuration, and standard deviation of its speeds, as in Ant-v5."""
 
@@ -81,16 +88,16 @@ RESPONDING: dict[str, float] = dict.fromkeys(ACTION, 0.05)
 
 
 @dataclass(frozen=True)
-class AntMaze(ModelTask):
+class AntMaze(PractisedTask):
     """Leave the maze by its opening.
 
     Attributes:
         horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
-        scattered: share of episodes that start anywhere along the centre line, to learn from; 0: the task itself.
+        along: share of episodes that start anywhere along the centre line, to learn from; 0: the task itself.
     """
 
     horizon: int = 200
-    scattered: float = 0.0
+    along: float = 0.0
 
     name = "ant-maze"
     family = ANTS.name
@@ -125,30 +132,82 @@ class AntMaze(ModelTask):
 
     def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
         """The ant at the start's centre in the maze."""
-        spec = gymnasium_ant()
-        spec.body("torso").pos[:2] = START
+        spec = _ant_at_the_start(robot)
         for name, (west, east, south, north) in WALLS.items():
             spec.worldbody.add_geom(
                 name=name, type=mujoco.mjtGeom.mjGEOM_BOX, conaffinity=1, rgba=[0.55, 0.6, 0.65, 1.0],
                 pos=[(west + east) / 2, (south + north) / 2, WALL_HEIGHT / 2],
                 size=[(east - west) / 2, (north - south) / 2, WALL_HEIGHT / 2],
             )
-        robot.change(spec)
         return spec
 
     def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntInMaze":
         """The ant in the maze."""
-        return AntInMaze(model, data, self.scattered)
+        return AntInMaze(model, data, self.along)
 
     def progress(self, observations: np.ndarray) -> np.ndarray:
         """How far along the centre line (N,) [m] the ant is in each observation (N, 29); at the first cell's centre 0, see ``distance``."""
         return distance(*(observations[:, -2:].T * INNER))
+
+    def miss(self, observation: np.ndarray) -> float:
+        """Way to the opening that is left [m]."""
+        return LENGTH - float(self.progress(observation[None])[0])
+
+    def practice(self) -> "AntFloor":
+        """To run, where nothing is in the way."""
+        return AntFloor()
+
+    def scattered(self) -> "AntMaze":
+        """Most episodes start anywhere along the centre line."""
+        return replace(self, along=SCATTERED)
+
+    def gains(self, observations: np.ndarray) -> np.ndarray:
+        """Progress (T,) [m]."""
+        return np.diff(self.progress(observations))
+
+    def guided(self, act: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        """Who runs east heads for a point of the centre line ahead, and its legs change parts when the ant has turned too far from it."""
+
+        def guided(observations: np.ndarray) -> np.ndarray:
+            places = observations[:, -2:] * INNER
+            ahead = np.array([centre_line(along + LOOK_AHEAD) for along in distance(*places.T)])
+            seen, quarters = eastwards(observations[:, :-2], np.arctan2(*(ahead - places).T[::-1]))
+            return given_back(act(np.column_stack([seen, np.zeros_like(places)])), quarters)
+
+        return guided
 
     def environment(self, robot: ModelRobot) -> "gymnasium.Env":
         """The same scene, stepped by gymnasium's AntEnv."""
         from tasks.ant_maze_env import AntMazeEnv
 
         return AntMazeEnv(self, robot)
+
+
+@dataclass(frozen=True)
+class AntFloor(AntMaze):
+    """Run east on an open floor, from any yaw within an eighth of a turn. Nothing ends it but a fall; the place is not to be seen."""
+
+    horizon: int = 100
+
+    def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
+        """The ant, and no wall."""
+        return _ant_at_the_start(robot)
+
+    def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntOnFloor":
+        """The ant on the floor."""
+        return AntOnFloor(model, data)
+
+    def gains(self, observations: np.ndarray) -> np.ndarray:
+        """Way to the east (T,) [m], from the speeds before and after each step."""
+        east = observations[:, 13]
+        return (east[:-1] + east[1:]) / 2 / self.control_frequency
+
+
+def _ant_at_the_start(robot: ModelRobot) -> mujoco.MjSpec:
+    spec = gymnasium_ant()
+    spec.body("torso").pos[:2] = START
+    robot.change(spec)
+    return spec
 
 
 CARDS: dict[str, AntMaze] = {AntMaze.name: AntMaze()}
@@ -199,11 +258,13 @@ class AntInMaze:
 
     Args:
         model, data: compiled from AntMaze.spec, or a robot in between.
-        scattered: AntMaze's.
+        along: AntMaze's.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, scattered: float = 0.0) -> None:
-        self._model, self._data, self._scattered = model, data, scattered
+    yaw = START_YAW
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, along: float = 0.0) -> None:
+        self._model, self._data, self._along = model, data, along
         self._qpos, self._qvel = data.qpos, data.qvel  # views: a property of mjData costs as much as a short function
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -212,9 +273,9 @@ class AntInMaze:
         qpos += rng.uniform(-RESET_NOISE, RESET_NOISE, qpos.size)
         qvel += RESET_NOISE * rng.standard_normal(qvel.size)
         qpos[:2] = np.array(START) + rng.uniform(-START_SHIFT, START_SHIFT, 2)
-        if rng.random() < self._scattered:
+        if rng.random() < self._along:
             qpos[:2] = centre_line(rng.uniform(0.0, LENGTH - CELL / 2)) + rng.uniform(-ALONG, ALONG, 2)
-        yaw, turned = rng.uniform(-START_YAW, START_YAW), np.empty(4)
+        yaw, turned = rng.uniform(-self.yaw, self.yaw), np.empty(4)
         mujoco.mju_mulQuat(turned, np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]), qpos[3:7])
         qpos[3:7] = turned / np.linalg.norm(turned)
         mujoco.mj_forward(self._model, self._data)
@@ -237,5 +298,29 @@ class AntInMaze:
     def lost(self) -> bool:
         """Whether the ant lies on its back, or got over a wall."""
         x, y = self.place
+        return self.on_its_back() or (max(abs(x), abs(y)) > OUTER and not self.at_goal())
+
+    def on_its_back(self) -> bool:
+        """Whether the torso's upper side points below the horizon."""
         _, i, j, _ = self._qpos[3:7].tolist()
-        return i * i + j * j > 0.5 or (max(abs(x), abs(y)) > OUTER and not self.at_goal())
+        return i * i + j * j > 0.5
+
+
+class AntOnFloor(AntInMaze):
+    """The scene without walls, where the place is neither seen nor judged."""
+
+    yaw = FLOOR_YAW
+
+    def observe(self) -> np.ndarray:
+        """The observation record, its place 0."""
+        out = super().observe()
+        out[-2:] = 0.0
+        return out
+
+    def at_goal(self) -> bool:
+        """Never."""
+        return False
+
+    def lost(self) -> bool:
+        """Whether the ant lies on its back."""
+        return self.on_its_back()
