@@ -139,6 +139,8 @@ def transfer(
     episodes: int | None = None,
     run: Path | None = None,
     resume: bool = False,
+    cluster: str | None = None,
+    at_once: int | None = None,
     json: bool = False,
 ) -> None:
     """Transfer the source expert to every target along the evolution tree, then evaluate on the unmodified robots.
@@ -173,9 +175,12 @@ def transfer(
         episodes: of the final evaluation, per target, on F(beta) and on the unmodified robot; default: the preset's.
         run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with path and expert where they are not the usual.
         resume: continue the run in that folder.
+        cluster: Ray cluster that plays the episodes, with the same numbers: auto for the one that this machine belongs to, or HOST:PORT
+            of its head; see docs/cluster.md.
+        at_once: paths of the tree that are played side by side, with the same numbers; default: 1, on a cluster as many as targets.
         json: print the report as one JSON object at the end.
     """
-    said = _said(transfer, locals(), leave_out=("run", "resume", "json"))
+    said = _said(transfer, locals(), leave_out=("run", "resume", "json", "cluster", "at_once"))
     robot, what = find_robot(source), find_task(task)
     goals = None if targets is None else tuple(find_robot(name) for name in targets)
     from tasks.task import ModelTask
@@ -184,8 +189,9 @@ def transfer(
 
     config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
                              exploration=exploration)
-    if episodes is not None and episodes < 1:
-        raise ToolkitError(f"episodes is {episodes}; give at least 1")
+    for name, value in (("episodes", episodes), ("at_once", at_once)):
+        if value is not None and value < 1:
+            raise ToolkitError(f"{name} is {value}; give at least 1")
     bent = "" if path is None else f"{path}-"
     taught = "" if expert is None else f"-from-{Path(expert).name}"
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
@@ -194,7 +200,8 @@ def transfer(
         goals = tuple(family_of(what)[1:]) if isinstance(what, ModelTask) else usual
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task))
     with Progress("transfer", quiet=json) as progress:
-        pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run)
+        paths = at_once or (1 if cluster is None else len(goals))
+        pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run, cluster, paths)
         pipeline.run.write_json("command", {"words": ["transfer", *said]})
         report = pipeline.play()
     if json:

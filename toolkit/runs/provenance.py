@@ -1,5 +1,6 @@
 """What a run ran on: versions of what determines its numbers, and the commit of the checkout."""
 
+import hashlib
 import platform
 import subprocess
 from importlib import metadata
@@ -20,6 +21,15 @@ def recorded_versions() -> dict[str, str | None]:
         except metadata.PackageNotFoundError:
             versions[package] = None
     return versions | {"platform": f"{platform.system()} {platform.machine()}"}
+
+
+def code_digest() -> str:
+    """sha256 of all Python files that determine a run: the toolkit and the cards; no matter where they lie, or in what order."""
+    root, found = Path(__file__).parents[2], hashlib.sha256()
+    for file in sorted(path for package in ("toolkit", "robots", "grippers", "tasks") for path in (root / package).rglob("*.py")):
+        content = file.read_bytes()
+        found.update(f"{file.relative_to(root).as_posix()} {len(content)}\n".encode() + content)
+    return found.hexdigest()
 
 
 def git_state() -> dict[str, Any] | None:

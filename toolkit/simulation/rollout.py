@@ -101,8 +101,8 @@ def play_on(
     return out
 
 
-class _Engine:
-    """Plays batches of episodes with workers that each borrow what they need from ``_idle``.
+class Engine:
+    """Plays batches of episodes with workers that each borrow what they need.
 
     MuJoCo's own printed warnings fall silent: a diverged simulation is counted, and the first leaves a dump.
 
@@ -129,7 +129,8 @@ class _Engine:
         """What a dump says of the robot: ``robots``, ``native`` and ``task``."""
         raise NotImplementedError
 
-    def _one(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
+    def one(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
+        """One episode, and how its simulation blew up if it did: a function of what is given, wherever and whenever it is played."""
         borrowed = self._idle.get()
         try:
             plant, tape = self._plant(borrowed, alpha), Tape()
@@ -152,7 +153,7 @@ class _Engine:
         """
         began = time.perf_counter()
         actors = actor if isinstance(actor, Sequence) else [actor] * len(seeds)
-        played = list(self._pool.map(lambda one: self._one(*one), zip(actors, alphas, seeds, strict=True)))
+        played = list(self._pool.map(lambda job: self.one(*job), zip(actors, alphas, seeds, strict=True)))
         self.episodes_played += len(played)
         self.play_seconds += time.perf_counter() - began
         first = next((divergence for _, divergence in played if divergence is not None), None)
@@ -169,7 +170,7 @@ class _Engine:
         self._pool.shutdown()
 
 
-class RolloutEngine(_Engine):
+class RolloutEngine(Engine):
     """Plays batches of episodes on a merged robot.
 
     Every episode runs whole on one thread, from its own seed and on its own copy of the model, so results do not depend
@@ -194,7 +195,7 @@ class RolloutEngine(_Engine):
         return {"robots": self.merged.space.names, "native": False, "task": self.merged.task.name}
 
 
-class NativeEngine(_Engine):
+class NativeEngine(Engine):
     """Plays episodes on an unmodified robot with the compiled control step (not its environment's own step).
 
     Its robot is the only one it has: the alphas of ``play`` are recorded, nothing more.

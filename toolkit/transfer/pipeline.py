@@ -26,8 +26,9 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.lab import Lab, Merged, System, check_players, check_roles
 from toolkit.runs.phases import Witness
 from toolkit.runs.run import Run, read_audit
+from toolkit.simulation.cluster import Cluster, ClusterEngine
 from toolkit.simulation.laws import Drivable, native_plant
-from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.simulation.rollout import Engine, NativeEngine, RolloutEngine
 from toolkit.transfer.branch import Branch
 from toolkit.transfer.events import Arrived, Entry, Moved, Spent
 from toolkit.transfer.meta_evolve import Transfer
@@ -176,33 +177,39 @@ class Pipeline:
         resume: continue the run that is there.
         watch: called with every event of the transfer, for progress on a terminal.
         record: begins the run's recording; None: there is none.
+        cluster: address of the Ray cluster that plays its episodes; None: this machine does. The numbers are the same.
+        at_once: paths of the tree that are played side by side. The numbers are the same.
     """
 
     def __init__(
         self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None,
-        record: Begin | None = None,
+        record: Begin | None = None, cluster: str | None = None, at_once: int = 1,
     ) -> None:
         policy, value = load_expert(job.source.name, job.task, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
-        self.job, self.watch, self._begin = job, watch, record
+        self.job, self.watch, self._begin, self._at_once = job, watch, record, at_once
+        self.cluster: Cluster | None = None
         try:
-            self._prepare(folder, resume, policy, value)
+            self._prepare(folder, resume, policy, value, cluster)
         except Exception:
+            if self.cluster is not None:
+                self.cluster.close()
             self.run.end(failed=True)
             raise
 
-    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction) -> None:
+    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction, address: str | None) -> None:
         """Measure and merge the robots, and take up what an earlier sitting has left."""
         job = self.job
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
-        self.engine = RolloutEngine(self.lab.merged, dump=dump)
+        self.cluster = None if address is None else Cluster(self.lab, address)
+        self.engine = RolloutEngine(self.lab.merged, dump=dump) if self.cluster is None else ClusterEngine(self.cluster, dump=dump)
         self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         self._audit()
         source, targets = self.lab.terminals()
-        native = {robot.name: (lambda robot=robot: NativeEngine(robot, job.task, dump=dump)) for robot in job.targets}
+        native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
                                  Explored(job.task.explored, job.task.responding), self._bends())
         if resume:
@@ -222,6 +229,10 @@ class Pipeline:
         begin = lambda: self._begin(folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, records)  # noqa: E731
         self.story = _Told(folder, begin if self._begin else lambda: None)
 
+    def _native(self, robot: System, dump: Path) -> Engine:
+        """Plays on the unmodified robot of a target."""
+        return NativeEngine(robot, self.job.task, dump=dump) if self.cluster is None else ClusterEngine(self.cluster, robot, dump)
+
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
         with self.run.at_work():
@@ -229,7 +240,7 @@ class Pipeline:
 
     def _play(self) -> dict[str, Any]:
         try:
-            policies = self.transfer.meta_evolve()
+            policies = self.transfer.meta_evolve(self._at_once)
             for name, policy in policies.items():
                 policy.save(self.run.path / f"{name}{POLICY_FILE}")
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
@@ -240,6 +251,8 @@ class Pipeline:
             return report
         finally:
             self.engine.close()
+            if self.cluster is not None:
+                self.cluster.close()
             self.story.note(self.engine.trouble)
             cost = self.story.finish()
             self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.story.trouble)})

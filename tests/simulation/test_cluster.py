@@ -1,0 +1,166 @@
+"""Episodes played by Ray's actors on a cluster of two nodes: the same bits as of this machine's engine, whoever is killed meanwhile."""
+
+import socket
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from robots import ROBOTS
+from toolkit.errors import ToolkitError
+from toolkit.learning.policy import MeanActor
+from toolkit.morphology.lab import Lab
+from toolkit.runs.provenance import code_digest
+from toolkit.simulation import cluster as module
+from toolkit.simulation.cluster import Cluster, ClusterEngine
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+
+ray = pytest.importorskip("ray")
+TARGET = "kinova3"
+SMALL = {"object_store_memory": 100 * 2**20}
+
+
+@pytest.fixture(scope="module")
+def lab(task):
+    return Lab(ROBOTS["adroit"], [ROBOTS[TARGET]], task)
+
+
+@pytest.fixture(scope="module")
+def nodes():
+    """A cluster of two nodes with a processor each, in processes of this machine."""
+    from ray.cluster_utils import Cluster as Nodes
+
+    made = Nodes(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False, **SMALL})
+    made.add_node(num_cpus=1, **SMALL)
+    ray.init(address=made.address, log_to_driver=False, logging_level="ERROR")
+    yield made
+    ray.shutdown()
+    made.shutdown()
+
+
+@pytest.fixture(scope="module")
+def cluster(nodes, lab, wait_for):
+    made = Cluster(lab, nodes.address)
+    wait_for(lambda: made.ready == 2, 300.0)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def batch(lab, restless):
+    """(actors, alphas, seeds) of eight short episodes on robots between source and target."""
+    source, target = (lab.space.beta(name) for name in ("adroit", TARGET))
+    policies = [restless(k) for k in range(4)]
+    actors = [policy.act for policy in policies] + [MeanActor(policy) for policy in policies]
+    return actors, [source + share * (target - source) for share in np.linspace(0, 1, 8)], list(range(100, 108))
+
+
+@pytest.fixture(scope="module")
+def local(lab, batch):
+    engine = RolloutEngine(lab.merged)
+    yield engine.play(*batch)
+    engine.close()
+
+
+def assert_same(found, wanted):
+    assert [episode.seed for episode in found] == [episode.seed for episode in wanted]
+    for mine, theirs in zip(found, wanted, strict=True):
+        for name, value in vars(theirs).items():
+            np.testing.assert_array_equal(getattr(mine, name), value, err_msg=f"{name} of seed {theirs.seed}")
+
+
+def test_two_nodes_play_the_same_bits(cluster, batch, local):
+    where = lambda player: ray.get_runtime_context().get_node_id()  # noqa: E731
+    places = {ray.get(actor.__ray_call__.remote(where), timeout=60) for actor in cluster._held}
+    assert len(places) == 2, "both actors stand on one node"
+    engine = ClusterEngine(cluster)
+    assert_same(engine.play(*batch), local)
+    assert engine.episodes_played == 8 and cluster.lost == 0
+    engine.close()
+
+
+def test_the_unmodified_robot_plays_the_same_bits(cluster, task, batch):
+    actors, alphas, seeds = (part[:3] for part in batch)
+    here, there = NativeEngine(ROBOTS[TARGET], task), ClusterEngine(cluster, ROBOTS[TARGET])
+    assert_same(there.play(actors, alphas, seeds), here.play(actors, alphas, seeds))
+    here.close(), there.close()
+
+
+def test_an_actors_error_is_the_callers(cluster, batch):
+    """A sentence of the toolkit stays one, and the actor goes on."""
+
+    def broken(observation, rng):
+        raise ToolkitError("this policy does not act")
+
+    engine = ClusterEngine(cluster)
+    with pytest.raises(ToolkitError, match="this policy does not act"):
+        engine.play(broken, batch[1][:1], [0])
+    assert cluster.ready == 2
+    engine.close()
+
+
+def test_a_node_with_other_code_is_refused_by_name(nodes, lab, monkeypatch, cluster):
+    """As seen from a machine whose own code is another; the engine's own actors, of the same code, have passed."""
+    monkeypatch.setattr(module, "code_digest", lambda: "0" * 64)
+    node = nodes.add_node(num_cpus=1, **SMALL)
+    said = rf"node {socket.gethostname()} has code of the toolkit {code_digest()[:12]}, this machine 000000"
+    with pytest.raises(ToolkitError, match=said):
+        Cluster(lab, nodes.address, actors=1)
+    nodes.remove_node(node)
+
+
+def test_what_differs_is_named(cluster):
+    theirs = dict(cluster._own)
+    assert "node n has mujoco 3.6.0, this machine" in cluster._difference("n", theirs | {"mujoco": "3.6.0"}, "mujoco")
+    assert "plays an episode to other bits" in cluster._difference("n", theirs | {"numbers": "0"}, "numbers")
+
+
+def test_nobody_at_the_address(lab, monkeypatch):
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    with pytest.raises(ToolkitError, match=rf"no Ray cluster answers at 127.0.0.1:{port} .*begin one with `ray start --head`"):
+        Cluster(lab, f"127.0.0.1:{port}")
+    with pytest.raises(ToolkitError, match="'nowhere' is no address; give auto, or HOST:PORT"):
+        Cluster(lab, "nowhere")
+
+
+def test_without_ray_the_extra_is_named(lab, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ToolkitError, match=r"pip install 'meta-evolve\[ray\]'"):
+        Cluster(lab, "auto")
+
+
+def test_an_actor_killed_and_a_node_removed_in_the_middle_change_nothing(nodes, cluster, batch, local, wait_for):
+    """First a process dies, then a node with all that it holds; what they were playing is played again, and counted once."""
+    engine, done = ClusterEngine(cluster), []
+    given = cluster.give_back
+
+    def give_back(actor):
+        done.append(actor)
+        if len(done) == 2:
+            ray.kill(actor)
+        if len(done) == 4:
+            node = next(node for node in nodes.worker_nodes)
+            threading.Thread(target=nodes.remove_node, args=(node,), daemon=True).start()
+        given(actor)
+
+    cluster.give_back = give_back
+    actors, alphas, seeds = batch
+    found = engine.play(actors * 2, alphas * 2, seeds + seeds)
+    cluster.give_back = given
+    assert_same(found, [*local, *local])
+    assert engine.episodes_played == 16 and cluster.lost >= 1
+    wait_for(lambda: len([node for node in ray.nodes() if node["Alive"]]) == 1, 60.0)
+    nodes.add_node(num_cpus=1, **SMALL)
+    wait_for(lambda: cluster.ready == 2, 300.0)
+    assert_same(engine.play(*batch), local)
+    engine.close()
+
+
+def test_a_cluster_without_room_says_so(nodes, lab, cluster):
+    """All processors are taken by the first cluster's actors."""
+    with pytest.raises(ToolkitError, match=r"has had no processor free for an episode for 3 s; look at `ray status`"):
+        Cluster(lab, nodes.address, start=3.0)

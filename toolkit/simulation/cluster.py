@@ -1,0 +1,296 @@
+"""Episodes played on many machines, by Ray's actors: the same batches with the same numbers as of the engine of this machine.
+
+An episode is a function of policy, alpha, seed, robots and task, so that it does not matter who plays it, nor how often: one whose
+actor dies, or does not answer in time, is played again by another, and its first answer counts. Actors whose code, versions or numbers
+differ from this machine's are refused by name. Ray hands objects over by pickle: use it only between machines that trust one another.
+"""
+
+import hashlib
+import os
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from tasks.task import Task
+from toolkit.errors import ToolkitError
+from toolkit.learning.episode import Episode
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.morphology.lab import Lab, System
+from toolkit.quiet import silence_robosuite
+from toolkit.runs.provenance import code_digest, recorded_versions
+from toolkit.simulation.divergence import Divergence
+from toolkit.simulation.rollout import Actor, Engine, NativeEngine, RolloutEngine
+
+PATIENCE = 120.0
+"""Time [s] for one episode, some hundred times what it takes, after which its actor counts as lost."""
+START = 300.0
+"""Time [s] without a single actor after which the cluster counts as too small; one takes some ten seconds to merge the robots."""
+ATTEMPTS = 5
+"""Actors that may be lost with one episode: it may be what kills them."""
+GROWTH = 5.0
+"""Time [s] between two looks for processors that have joined the cluster."""
+
+
+def numbers(engine: RolloutEngine) -> str:
+    """Digest of an episode that a fixed policy plays on the source's robot: equal where simulation and policy have the same bits."""
+    space, task = engine.merged.space, engine.merged.task
+    policy = GaussianPolicy(task.observation_names, task.action_names, np.random.default_rng(0))
+    (episode,) = engine.play(policy.act, [space.beta(space.names[0])], [0])
+    return hashlib.sha256(episode.observations.tobytes() + episode.actions.tobytes()).hexdigest()[:12]
+
+
+def identity(engine: RolloutEngine) -> dict[str, Any]:
+    """What has to be the same on all machines for the same numbers to come out, and at last the numbers."""
+    return {**recorded_versions(), "code": code_digest()[:12], "numbers": numbers(engine)}
+
+
+class Player:
+    """What an actor holds: a job's robots, merged and unmodified, each made when it is first played.
+
+    Args:
+        source, targets, task: as of Lab.
+    """
+
+    def __init__(self, source: System, targets: Sequence[System], task: Task) -> None:
+        silence_robosuite()
+        self._engine = RolloutEngine(Lab(source, targets, task).merged, threads=1)
+        self._robots, self._task = {robot.name: robot for robot in targets}, task
+        self._natives: dict[str, NativeEngine] = {}
+
+    def identity(self) -> tuple[str, dict[str, Any]]:
+        """Name of the machine, and its identity."""
+        return socket.gethostname(), identity(self._engine)
+
+    def play(self, native: str | None, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
+        """One episode on F(alpha), or on the unmodified robot of that name."""
+        if native is None:
+            return self._engine.one(actor, alpha, seed)
+        if native not in self._natives:
+            self._natives[native] = NativeEngine(self._robots[native], self._task, threads=1)
+        return self._natives[native].one(actor, alpha, seed)
+
+
+class Cluster:
+    """The actors of a job on a Ray cluster, one per processor; several engines may share them.
+
+    Args:
+        lab: the job's robots and task.
+        address: "auto" for the cluster that this machine belongs to, or HOST:PORT of its head.
+        actors: how many at most; default: the cluster's processors, those that join it later included.
+        patience, start: times [s] as of PATIENCE and START.
+
+    Attributes:
+        ready: actors that play or could.
+        lost: actors that died, or did not answer in time.
+
+    Raises:
+        ToolkitError: Ray is not installed, no cluster is there, its nodes differ from this machine, or none of them has room.
+    """
+
+    def __init__(
+        self, lab: Lab, address: str, actors: int | None = None, patience: float = PATIENCE, start: float = START
+    ) -> None:
+        self.lab, self.address, self.patience, self._start, self._most = lab, address, patience, start, actors
+        self._ray, self._ours = _connected(address)
+        engine = RolloutEngine(lab.merged, threads=1)
+        self._own = identity(engine)
+        engine.close()
+        self._actor = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Player)
+        self._idle: SimpleQueue = SimpleQueue()
+        self._held: list[Any] = []
+        self._changing, self._closed = threading.Lock(), threading.Event()
+        self._refusal = ""
+        self.asked = self.ready = self.lost = 0
+        self._alive = self._looked = time.monotonic()
+        self.grow()
+        try:
+            self._idle.put(self.borrow())  # the others join while the first ones play
+        except BaseException:
+            self.close()
+            raise
+
+    def grow(self) -> None:
+        """Ask for an actor on every processor that the cluster has by now."""
+        with self._changing:
+            now = time.monotonic()
+            if self.asked and now - self._looked < GROWTH:
+                return
+            self._looked = now
+            there = int(self._ray.cluster_resources().get("CPU", 0))
+            wanted = max(1, there if self._most is None else min(there, self._most))
+            more, self.asked = wanted - self.asked, max(self.asked, wanted)
+        for _ in range(more):
+            self._begin()
+
+    def borrow(self) -> Any:
+        """An actor that has nothing to do.
+
+        Raises:
+            ToolkitError: there has been none for long, or one was refused.
+        """
+        while True:
+            if self._refusal:
+                raise ToolkitError(self._refusal)
+            try:
+                return self._idle.get(timeout=0.5)
+            except Empty:
+                if self.ready:
+                    self._alive = time.monotonic()
+                elif time.monotonic() - self._alive > self._start:
+                    raise ToolkitError(
+                        f"the Ray cluster at {self.address} has had no processor free for an episode for {self._start:.0f} s; look at "
+                        "`ray status`, add a node, and continue with --resume"
+                    ) from None
+
+    def give_back(self, actor: Any) -> None:
+        """The actor has nothing to do any more."""
+        self._idle.put(actor)
+
+    def lose(self, actor: Any) -> None:
+        """The actor has died or is late: another one is asked for."""
+        with self._changing:
+            self.ready -= 1
+            self.lost += 1
+            self._alive = time.monotonic()
+        self._drop(actor)
+        self._begin()
+
+    def close(self) -> None:
+        """End the actors, and the connection if it was made here."""
+        self._closed.set()
+        with self._changing:
+            held, self._held = self._held, []
+        for actor in held:
+            self._ray.kill(actor)
+        if self._ours:
+            self._ray.shutdown()
+
+    def _drop(self, actor: Any) -> None:
+        with self._changing:
+            self._held = [other for other in self._held if other is not actor]
+        self._ray.kill(actor)
+
+    def _begin(self) -> None:
+        threading.Thread(target=self._bring_up, daemon=True).start()
+
+    def _bring_up(self) -> None:
+        """Wait until an actor has room and is ready, however often it dies before that; refuse one that differs."""
+        while not self._closed.is_set():
+            actor = self._actor.remote(self.lab.source, self.lab.targets, self.lab.task)
+            with self._changing:
+                self._held.append(actor)
+            try:
+                answer = actor.identity.remote()
+                while not self._ray.wait([answer], timeout=0.5)[0]:
+                    if self._closed.is_set():
+                        return
+                machine, theirs = self._ray.get(answer, timeout=self.patience)
+            except (self._ray.exceptions.RayError, ConnectionError) as error:
+                if isinstance(error, self._ray.exceptions.RayTaskError) or "creation task" in str(error):
+                    self._refusal = f"an actor on the Ray cluster at {self.address} cannot begin ({_sentence(error)}); mend that node"
+                    return
+                self._drop(actor)
+                self._closed.wait(1.0)
+                continue
+            differing = [key for key, value in self._own.items() if theirs.get(key) != value]
+            if differing:
+                self._refusal = self._difference(machine, theirs, differing[0])
+                return
+            with self._changing:
+                self.ready += 1
+            self._idle.put(actor)
+            return
+
+    def _difference(self, machine: str, theirs: dict[str, Any], key: str) -> str:
+        if key == "numbers":
+            return (f"node {machine} has this machine's versions but plays an episode to other bits, as another kind of processor may; "
+                    "leave it out of the cluster, or start from a machine of its kind")  # fmt: skip
+        what = "code of the toolkit" if key == "code" else key
+        return f"node {machine} has {what} {theirs.get(key)}, this machine {self._own[key]}; install the same on all nodes"
+
+
+class ClusterEngine(Engine):
+    """Plays batches of episodes on a cluster, on the merged robot or on an unmodified one; see RolloutEngine and NativeEngine.
+
+    Args:
+        cluster: who plays.
+        native: the unmodified robot; None: the merged one.
+        dump: file for the first simulation that blows up; one that exists is left alone.
+    """
+
+    def __init__(self, cluster: Cluster, native: System | None = None, dump: Path | None = None) -> None:
+        super().__init__(max(64, 4 * cluster.asked), dump)  # threads that wait for answers; a cluster may grow
+        self.cluster, self.merged = cluster, cluster.lab.merged
+        self._native = None if native is None else native.name
+
+    def play(self, actor: Actor | Sequence[Actor], alphas: Sequence[np.ndarray], seeds: Sequence[int]) -> list[Episode]:
+        """See Engine.
+
+        Raises:
+            ToolkitError: the cluster has become too small, or a node that differs has joined it.
+        """
+        self.cluster.grow()
+        return super().play(actor, alphas, seeds)
+
+    def one(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
+        """See Engine."""
+        import ray
+        from ray.exceptions import RayError, RayTaskError
+
+        for _ in range(ATTEMPTS):
+            player = self.cluster.borrow()
+            try:
+                episode, divergence = ray.get(player.play.remote(self._native, actor, alpha, seed), timeout=self.cluster.patience)
+            except RayTaskError as error:
+                self.cluster.give_back(player)
+                raise error.cause if isinstance(error.cause, ToolkitError) else error from None
+            except (RayError, ConnectionError):
+                self.cluster.lose(player)
+            else:
+                self.cluster.give_back(player)
+                return replace(episode), divergence
+        raise ToolkitError(
+            f"{ATTEMPTS} actors of the Ray cluster at {self.cluster.address} were lost in turn with the episode of seed {seed}; "
+            "look at the memory of its nodes, and continue with --resume"
+        )
+
+    def _scene(self) -> dict[str, Any]:
+        names = self.merged.space.names if self._native is None else (self._native,)
+        return {"robots": names, "native": self._native is not None, "task": self.merged.task.name}
+
+
+def _connected(address: str) -> tuple[Any, bool]:
+    """Ray, connected, and whether the connection was made now."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+        import ray.exceptions
+    except ImportError:
+        raise ToolkitError("--cluster needs Ray, which is not installed; pip install 'meta-evolve[ray]' on all nodes") from None
+    if ray.is_initialized():
+        return ray, False
+    host, _, port = address.rpartition(":")
+    try:
+        if address != "auto":
+            socket.create_connection((host, int(port)), timeout=5.0).close()  # Ray itself would try for minutes
+        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+    except ValueError:
+        raise ToolkitError(f"cluster {address!r} is no address; give auto, or HOST:PORT of the head as `ray start` printed it") from None
+    except (OSError, RuntimeError) as error:
+        raise ToolkitError(
+            f"no Ray cluster answers at {address} ({_sentence(error)}); begin one with `ray start --head`, or check the address"
+        ) from None
+    return ray, True
+
+
+def _sentence(error: Exception) -> str:
+    """The last line of an error that says something, cut."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if lines else type(error).__name__)[:200]
