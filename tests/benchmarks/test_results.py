@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from toolkit.benchmarks.results import PAPER, finished_runs, read_result, results_json, write_results
+from toolkit.benchmarks.paper import PAPER
+from toolkit.benchmarks.results import finished_runs, read_result, results_json, write_results
 from toolkit.errors import ToolkitError
 from toolkit.runs.run import Run
 
@@ -40,7 +41,7 @@ def test_every_count_of_the_runs_is_on_the_page(tmp_path):
     finished(suite, "tree-0", 0, 1001, 187)
     finished(suite, "tree-1", 1, 2002, 163)
     finished(suite, "alone-0", 0, 4111, 151, kind="independent")
-    page = write_results(suite, "A suite", "make results")
+    page = write_results(suite, "A suite", "make results", PAPER["real-robots"])
     text = page.read_text()
     for count in (187, 163, 151, 199):
         assert f"{count} of 200" in text
@@ -48,7 +49,7 @@ def test_every_count_of_the_runs_is_on_the_page(tmp_path):
     row = rf"\| tree, L1, adaptive step, to left, right \| 061_foam_brick \| 2 \| .*\| {mean:.0f} ± {deviation:.0f} \|"
     assert re.search(row, text), text
     assert "| alone-0 | path 1: hand to left | 3 | 4111 | 16 |" in text
-    assert "make results" in text and str(PAPER["HERD, independent"]["sim_epochs"][0]) in text
+    assert "make results" in text and str(PAPER["real-robots"][0].sim_epochs[0]) in text
     for picture in re.findall(r"\((suite/\w+\.png)\)", text):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
 
@@ -123,8 +124,13 @@ def test_a_damaged_report_is_named(tmp_path):
         read_result(path)
 
 
-def test_the_papers_numbers_give_the_papers_ratios():
-    herd, ours = PAPER.values()
-    assert round(herd["train_iterations"][0] / ours["train_iterations"][0], 2) == 1.91
-    assert round(herd["sim_epochs"][0] / ours["sim_epochs"][0], 2) == 2.07
-    assert json.dumps(PAPER)
+@pytest.mark.parametrize(
+    ("task", "iterations", "epochs"),
+    [("DexYCB", 1.91, 2.07), ("ant-maze", 2.20, 2.43), ("hammer", 2.95, 3.23), ("relocate", 2.29, 3.17)],
+)
+def test_the_papers_numbers_give_the_papers_ratios(task, iterations, epochs):
+    """What the paper prints as its speed-up, which for its door (2.35 and 2.73) is not the ratio of its means (2.13 and 2.78)."""
+    rows = [row for suite in PAPER.values() for row in suite if row.task == task]
+    herd, ours = rows[0], rows[-1]
+    assert herd.train_iterations[0] / ours.train_iterations[0] == pytest.approx(iterations, abs=0.006)
+    assert herd.sim_epochs[0] / ours.sim_epochs[0] == pytest.approx(epochs, abs=0.006)

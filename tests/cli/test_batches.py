@@ -187,12 +187,13 @@ def test_a_broken_run_is_left_out_of_the_page(tmp_path):
 
 
 def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypatch, capsys):
-    from toolkit.benchmarks import results
-    from toolkit.cli import benchmarks
+    from toolkit.benchmarks import paper, results
+    from toolkit.cli import benchmarks, suites
     from toolkit.transfer import pipeline
 
-    entries = {name: benchmarks.Entry() for name in ("first", "second", "third")}
-    monkeypatch.setattr(benchmarks, "SUITES", {"s": entries})
+    entries = {name: suites.Entry() for name in ("first", "second", "third")}
+    monkeypatch.setattr(benchmarks, "SUITES", {"s": suites.Suite("A suite", tmp_path / "out", entries)})
+    monkeypatch.setitem(paper.PAPER, "s", ())
     played = []
 
     class Fake:
@@ -205,8 +206,8 @@ def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypat
                 raise ToolkitError(f"{self.name} went wrong")
 
     monkeypatch.setattr(pipeline, "Pipeline", Fake)
-    monkeypatch.setattr(results, "write_results", lambda out, title, command: out)
-    _, said = refusal(capsys, "bench", "transfer", "--suite", "s", "--out", tmp_path / "out", "--json")
+    monkeypatch.setattr(results, "write_results", lambda out, title, command, paper: out)
+    _, said = refusal(capsys, "bench", "transfer", "--suite", "s", "--json")
     assert played == ["first", "second", "third"]
     assert "first did not finish: first went wrong; second did not finish" in said
 

@@ -135,7 +135,7 @@ def test_two_sittings_of_one_run(tmp_path):
 @pytest.mark.parametrize("command", [("transfer", "--targets", "kinova3"), ("expert",)])
 def test_resuming_twice_is_refused_at_once(tmp_path, capsys, command):
     """Both once trained, and their metrics interleaved."""
-    from toolkit.cli.benchmarks import Entry
+    from toolkit.cli.suites import Entry
 
     asked = Entry(targets=("kinova3",), episodes=40, expert=f"adroit-{BRICK}-wide-recordings")
     config = asked.job("quick").config() if command[0] == "transfer" else {

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from toolkit.benchmarks.paper import PaperRow
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import Evaluation
 from toolkit.evaluation.walk import Waypoint
@@ -22,12 +23,6 @@ from toolkit.io.jsonfiles import require
 from toolkit.io.quoting import letters, markdown
 from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 
-PAPER = {
-    "HERD, independent": {"train_iterations": (38437, 2883), "sim_epochs": (185825, 16731)},
-    "Meta-Evolve, 1-Steiner tree": {"train_iterations": (20081, 4509), "sim_epochs": (89924, 7962)},
-}
-"""Mean and standard deviation over five seeds: the paper's table "One-to-three policy transfer experiment results on
-DexYCB manipulation task" (Liu et al. 2024, appendix on real commercial robots; targets Jaco, Kinova3, IIWA)."""
 COSTS = ("train_iterations", "sim_epochs", "check_episodes")
 COMPARED = ("train_iterations", "sim_epochs")
 """Costs of which the paper gives a ratio of trees to independent paths."""
@@ -128,13 +123,14 @@ def finished_runs(folder: Path, tell: Callable[[str], None] = lambda why: None) 
     return found
 
 
-def write_results(folder: Path, title: str, command: str) -> Path:
+def write_results(folder: Path, title: str, command: str, paper: Sequence[PaperRow] = ()) -> Path:
     """Write `<folder>.md` and the pictures in ``folder`` from the run folders in it.
 
     Args:
         folder: of the suite; each run is a folder in it.
         title: heading of the page.
         command: that plays the suite and writes this page.
+        paper: what the paper gives for it.
 
     Returns:
         the page.
@@ -155,9 +151,9 @@ def write_results(folder: Path, title: str, command: str) -> Path:
         f"# {title}", "",
         f"Made by `{command}` from the run folders in [{folder.name}/]({folder.name}/); none of these numbers is typed by hand.", "",
         "## Success", "", *success_table(runs), "", f"![Success per target]({folder.name}/success.png)", "",
-        "Unmodified robosuite robot: robosuite's own environment and step, on seeds that training never saw. "
+        "Unmodified robot: in its own environment (robosuite's, gymnasium's) and by that one's step, on seeds that training never saw. "
         "F(beta): the merged robot at the target's parameters. In brackets: 95 % interval (Wilson).", "",
-        "## Cost", "", *cost_table(runs), "", f"![Cost per method]({folder.name}/cost.png)", "",
+        "## Cost", "", *cost_table(runs, paper), "", f"![Cost per method]({folder.name}/cost.png)", "",
         "Counted as in the paper: a training iteration is one policy update, a simulation epoch one training episode. Checking "
         "episodes only measured success; the paper does not list its own. Wall time is that of the whole transfer without the final "
         "evaluation, on the machine as loaded as it was.", "",
@@ -230,7 +226,7 @@ def success_table(runs: Sequence[Result]) -> list[str]:
     return lines
 
 
-def cost_table(runs: Sequence[Result]) -> list[str]:
+def cost_table(runs: Sequence[Result], paper: Sequence[PaperRow] = ()) -> list[str]:
     """Markdown rows: cost per method and task, mean and standard deviation over seeds, beside the paper's."""
     lines = ["| method | task | seeds | training iterations | simulation epochs | checking episodes | wall time [min] |",
              "|---|---|---|---|---|---|---|"]
@@ -238,9 +234,9 @@ def cost_table(runs: Sequence[Result]) -> list[str]:
         cells = [_spread([run.report["totals"][key] for run in group]) for key in COSTS]
         wall = _spread([run.report["time"]["wall_s"] / 60 for run in group], digits=1)
         lines.append(f"| {markdown(f'{method}, to {targets}')} | {markdown(task)} | {len(group)} | {' | '.join(cells)} | {wall} |")
-    for method, numbers in PAPER.items():
-        cells = [f"{mean} ± {deviation}" for mean, deviation in numbers.values()]
-        lines.append(f"| paper: {method} | DexYCB | 5 | {' | '.join(cells)} | not given | not given |")
+    for row in paper:
+        cells = [f"{mean} ± {deviation}" for mean, deviation in (row.train_iterations, row.sim_epochs)]
+        lines.append(f"| paper: {row.method} | {row.task} | 5 | {' | '.join(cells)} | not given | not given |")
     return lines
 
 

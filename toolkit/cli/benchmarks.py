@@ -1,6 +1,6 @@
 """bench: the commands that measure the toolkit itself."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -8,7 +8,8 @@ import tyro
 
 from toolkit.cli.deployment import DriverName
 from toolkit.cli.help import helped
-from toolkit.cli.names import TARGETS, TASK, Kind, Method, Metric, find_robot, find_task, make_lab
+from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_robot, find_task, make_lab
+from toolkit.cli.suites import SUITES
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -21,117 +22,13 @@ if TYPE_CHECKING:
 bench = tyro.extras.SubcommandApp()
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A run of a suite: the options of `meta-evolve transfer` that tell it from the others."""
-
-    kind: Method = "steiner"
-    metric: Metric = "l1"
-    step: Literal["adaptive", "fixed"] = "adaptive"
-    path: Literal["straight", "bent", "optimised"] | None = None
-    xi: float | None = None
-    budget: int | None = None
-    seed: int = 0
-    task: str = TASK
-    targets: tuple[str, ...] = TARGETS
-    episodes: int = 20
-    expert: str | None = None
-    exploration: float | None = None
-    learner: Literal["search", "npg"] | None = None
-
-    def job(self, preset: str) -> "Job":
-        """What `meta-evolve transfer` would play."""
-        from toolkit.transfer.pipeline import Job, transfer_config
-
-        overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
-                     "learner": self.learner, "exploration": self.exploration}
-        config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
-        robots = tuple(find_robot(name) for name in self.targets)
-        return Job(find_robot("adroit"), robots, find_task(self.task), config, self.episodes, self.expert)
-
-
-CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # the can is too wide for the Jaco's grasp
-HANDS = Entry(expert=f"adroit-{TASK}-wide-recordings", exploration=0.15, episodes=60, learner="npg")
-FOUND = replace(HANDS, exploration=None, learner="search", targets=TARGETS, episodes=200, budget=3_000)
-FOUND_CAN = replace(FOUND, task=CAN, expert=f"adroit-{CAN}-wide-recordings", targets=JAWS)
-ALONE = replace(HANDS, kind="independent")
-SIX = (*TARGETS, "panda", "ur5e", "sawyer")
-COARSE = 0.3
-"""Fixed step: the paper's xi of 0.03 takes a thousand phases here, each of 16 checking episodes or more."""
-SUITES: dict[str, dict[str, Entry]] = {
-    "real-robots": {
-        # What is to be shipped, judged over the most seeds.
-        "tree-0": Entry(episodes=200),
-        "can-tree-0": Entry(task=CAN, targets=JAWS, budget=3_000, episodes=100),
-        "can-independent-0": Entry(task=CAN, kind="independent", targets=JAWS, episodes=100),
-        "tree-1": Entry(seed=1),
-        "independent-0": Entry(kind="independent"),
-        "direct-0": Entry(kind="direct"),
-        # A start within 5 cm and 30 degrees: here the policy has to learn on the way.
-        "wide-tree-0": Entry(task=WIDE, budget=1_500, episodes=60),
-        "wide-independent-0": Entry(task=WIDE, kind="independent", budget=1_500),
-        "wide-direct-0": Entry(task=WIDE, kind="direct", budget=1_500),
-        # An expert that learned from recordings of hands, and grasps as they do: it succeeds on no target untrained. Kinova3 and
-        # ur5e (the twins) carry one gripper, iiwa its larger sister (the jaws).
-        "hands-tree-0": replace(HANDS, targets=(*JAWS, "jaco"), episodes=200),
-        "hands-kinova3-0": replace(ALONE, targets=("kinova3",), episodes=200),
-        "hands-iiwa-0": replace(ALONE, targets=("iiwa",)),
-        "hands-jaco-0": replace(ALONE, targets=("jaco",)),
-        "hands-ur5e-0": replace(ALONE, targets=("ur5e",)),
-        "hands-panda-0": replace(ALONE, targets=("panda",)),
-        "hands-sawyer-0": replace(ALONE, targets=("sawyer",)),
-        "hands-twins-0": replace(HANDS, targets=("kinova3", "ur5e")),
-        "hands-jaws-0": replace(HANDS, targets=("kinova3", "ur5e", "iiwa")),
-        "hands-direct-0": replace(HANDS, kind="direct", budget=2_200, targets=("kinova3",)),
-        # The same expert, by exploration held for an episode.
-        **{f"found-tree-{seed}": replace(FOUND, seed=seed) for seed in range(3)},
-        # Seeds from 3 on were played after the rule that asks was settled: no choice of it can have been made for them.
-        **{f"found-independent-{seed}": replace(FOUND, seed=seed, kind="independent") for seed in range(6)},
-        **{f"found-asking-{seed}": replace(FOUND, seed=seed, kind="asking") for seed in range(6)},
-        # The same by plain NPG on the weights.
-        "plain-tree-0": replace(FOUND, learner="npg", exploration=HANDS.exploration, budget=None),
-        "plain-independent-0": replace(FOUND, learner="npg", exploration=HANDS.exploration, budget=None, kind="independent"),
-        # Two jaws that differ: a Robotiq 2F-85 and a 2F-140.
-        **{f"found-jaws-{seed}": replace(FOUND, seed=seed, targets=JAWS) for seed in range(3)},
-        **{f"found-jaws-independent-{seed}": replace(FOUND, seed=seed, targets=JAWS, kind="independent") for seed in range(3)},
-        "found-direct-0": replace(FOUND, kind="direct", budget=1_000),
-        **{f"found-l2-{seed}": replace(FOUND, seed=seed, metric="l2") for seed in range(3)},
-        "found-median-0": replace(FOUND, kind="geometric-median"),
-        "found-optimised-0": replace(FOUND, kind="independent", path="optimised"),
-        "found-can-0": FOUND_CAN,
-        "found-can-independent-0": replace(FOUND_CAN, kind="independent"),
-        # How the cost grows with the number of arms: those that the others leave out.
-        **{f"found-grown-{count}": replace(FOUND, targets=SIX[:count]) for count in (4, 5, 6)},
-        **{f"found-{name}-0": replace(FOUND, kind="independent", targets=(name,)) for name in SIX[3:]},
-        # Twice as many targets.
-        "six-tree-0": Entry(targets=SIX),
-        "six-independent-0": Entry(targets=SIX, kind="independent"),
-        # The other trees and ways.
-        "tree-l2-0": Entry(metric="l2"),
-        "median-0": Entry(kind="geometric-median"),
-        "median-l2-0": Entry(kind="geometric-median", metric="l2"),
-        "independent-l2-0": Entry(kind="independent", metric="l2"),
-        "optimised-0": Entry(path="optimised", step="fixed", xi=2.0, targets=JAWS),
-        # The paper's schedule, coarser.
-        "fixed-tree-0": Entry(step="fixed", xi=COARSE, budget=1_500),
-        "fixed-independent-0": Entry(step="fixed", kind="independent", xi=COARSE, budget=1_500),
-        "wide-fixed-tree-0": Entry(task=WIDE, step="fixed", xi=COARSE, budget=1_500),
-        "wide-fixed-independent-0": Entry(task=WIDE, step="fixed", kind="independent", xi=COARSE, budget=1_500),
-        "paper-tree-0": Entry(step="fixed"),
-        "paper-independent-0": Entry(step="fixed", kind="independent"),
-        "paper-hands-kinova3-0": Entry(step="fixed", kind="independent", targets=("kinova3",), expert=HANDS.expert, episodes=200),
-    }
-}
-"""Suite -> run -> what it plays; the short ones first."""
-
-
 @bench.command(name="transfer")
 @helped
 def bench_transfer(
     suite: str = "real-robots",
     only: tuple[str, ...] = (),
     preset: str = "full",
-    out: Path = Path("docs/results"),
+    out: Path | None = None,
     play: bool = True,
     json: bool = False,
 ) -> None:
@@ -140,26 +37,29 @@ def bench_transfer(
     Ctrl-C leaves runs that the same command continues, also on another machine that has the folder.
 
     Args:
-        suite: which; real-robots: the tree, independent paths and direct training to three commercial arms.
+        suite: which; real-robots: the tree, independent paths and direct training to three commercial arms; hand: door, hammer and relocate
+            from the free ADROIT to two, three and four fingers; ant: out of a maze, from one to six.
         only: names of the runs to play; default: all of the suite.
         preset: of every run, as in transfer.
-        out: folder of the run folders; the page is <out>.md.
+        out: folder of the run folders; the page is <out>.md; default: the suite's own in docs/.
         play: --no-play only rebuilds the page.
         json: print one JSON object of all finished runs: rows (cost and success per method, task and targets, over seeds) and ratios (each
             tree beside the independent paths to its targets).
     """
     if suite not in SUITES:
         raise ToolkitError(f"suite {suite!r} is unknown; there are: {', '.join(SUITES)}")
-    unknown = [name for name in only if name not in SUITES[suite]]
+    title, usual, entries = SUITES[suite].title, SUITES[suite].folder, SUITES[suite].entries
+    unknown = [name for name in only if name not in entries]
     if unknown:
-        raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(SUITES[suite])}")
-    failed = {}
+        raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(entries)}")
+    failed, out = {}, out or usual
     if play:
-        failed = _play_suite({name: SUITES[suite][name].job(preset) for name in only or SUITES[suite]}, out, quiet=json)
+        failed = _play_suite({name: entries[name].job(preset) for name in only or entries}, out, quiet=json)
+    from toolkit.benchmarks.paper import PAPER
     from toolkit.benchmarks.results import finished_runs, results_json, write_results
 
     command = told("bench", "transfer", "--suite", suite)
-    page = write_results(out, "Results on unmodified robosuite robots", command)
+    page = write_results(out, title, command, PAPER[suite])
     broken: list[str] = []
     runs = finished_runs(out, broken.append)
     emit(results_json(runs) if json else None, json, f"{page}: the table and its pictures")
