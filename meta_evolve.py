@@ -38,7 +38,7 @@ def _make_way() -> None:
         return
     if there is not None:
         file = getattr(there, "__file__", None) or "a folder toolkit"
-        raise ImportError(f"{file} was imported as toolkit, which meta-evolve needs for its own package toolkit; rename that file")
+        raise ImportError(f"{file} was imported as toolkit, the name of a package of meta-evolve; rename that file")
     sys.path.insert(0, str(_HERE))
 
 

@@ -163,5 +163,5 @@ def test_a_file_that_was_imported_before_is_named(crowded, name):
     done = python(crowded, "-c", f"import {name}\nimport meta_evolve")
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == (
-        f"ImportError: {crowded / name}.py was imported as {name}, which meta-evolve needs for its own package {name}; rename that file"
+        f"ImportError: {crowded / name}.py was imported as {name}, the name of a package of meta-evolve; rename that file"
     )

@@ -39,4 +39,4 @@ def stranger(name: str) -> str | None:
 sys.meta_path.insert(0, _Beside)
 for _name in BESIDE:
     if _file := stranger(_name):
-        raise ImportError(f"{_file} was imported as {_name}, which meta-evolve needs for its own package {_name}; rename that file")
+        raise ImportError(f"{_file} was imported as {_name}, the name of a package of meta-evolve; rename that file")
