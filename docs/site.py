@@ -16,7 +16,7 @@ from markdown_it.token import Token
 ROOT = Path(__file__).parents[1]
 SECTIONS = {
     "Start": ("README.md", "docs/inspect.md"),
-    "How to": ("docs/python.md", "docs/add-a-robot.md", "docs/dexycb.md", "docs/demonstrations.md", "docs/deploy.md"),
+    "How to": ("docs/python.md", "docs/add-a-robot.md", "docs/extend.md", "docs/dexycb.md", "docs/demonstrations.md", "docs/deploy.md"),
     "Explanation": ("docs/how-transfer-works.md", "docs/architecture.md"),
     "Reference": ("docs/results.md", "CHANGELOG.md", "CONTRIBUTING.md"),
 }
