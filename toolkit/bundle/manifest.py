@@ -14,11 +14,11 @@ from typing import Any, Literal
 
 from toolkit.errors import ToolkitError
 
-FORMAT, FORMAT_VERSION = "meta-evolve bundle", 4
-READABLE = (2, 3, 4)
+FORMAT, FORMAT_VERSION = "meta-evolve bundle", 5
+READABLE = (2, 3, 4, 5)
 """Versions that this release reads. Version 2 has neither ``simulation`` nor ``licence``: golden.npz alone settles what they say. Version
-3 lacks ``holds``, and the files scene.xml and robot.urdf."""
-SINCE = {"simulation": 3, "licence": 3, "holds": 4}
+3 lacks ``holds``, and the files scene.xml and robot.urdf; version 4 ``braking``."""
+SINCE = {"simulation": 3, "licence": 3, "holds": 4, "braking": 5}
 """Entry -> the version that brought it."""
 
 Vector = tuple[float, ...]
@@ -252,7 +252,8 @@ class Start:
     Attributes:
         arm_rad: (n,).  fingers: finger joint -> where it stands, in its unit.
         grasp_position_m, grasp_quaternion: of the grasp frame, task frame, w first.
-        tolerance_rad: of every arm joint.  tolerance_m, tolerance_rotation_rad: of the grasp frame.
+        tolerance_rad: of every arm joint; from format version 5 on the largest error tried with which the policy still succeeded in at
+            least 0.9 of the episodes.  tolerance_m, tolerance_rotation_rad: of the grasp frame; as far as such postures bring it.
     """
 
     arm_rad: Vector
@@ -618,6 +619,40 @@ class Stopping:
 
 
 @dataclass(frozen=True)
+class BrakingDistance:
+    """How far the arm still goes when it is held in motion, without load, in simulation; under `pose` and `joint` on a stiff arm.
+
+    Attributes:
+        form: of the commands.  speed_m_s: of the grasp frame when it was held.
+        distance_m: farthest that the grasp frame came from where it was then, the worst of the directions tried.
+        time_s: until it moved by less than a tenth of a millimetre per policy step.
+    """
+
+    form: Literal["osc", "pose", "joint"]
+    speed_m_s: float
+    distance_m: float
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Braking:
+    """Where the arm would come to rest, were it held now.
+
+    Attributes:
+        distances: measured; form by form, slowest first.
+        table_clearance_m: smallest height above the table at which the gripper's lowest point would then be; from undisturbed episodes, and
+            negative where the gripper comes down to the object so fast that a hold would set it on the table.
+    """
+
+    distances: tuple[BrakingDistance, ...]
+    table_clearance_m: float
+
+    def __post_init__(self) -> None:
+        _require(len(self.distances) > 0, "distances is empty")
+        _require(min(min(d.speed_m_s, d.distance_m) for d in self.distances) >= 0, "a speed or a distance is negative")
+
+
+@dataclass(frozen=True)
 class Simulation:
     """All that closes the loop around the policy where its label was measured, read there at export.
 
@@ -626,7 +661,8 @@ class Simulation:
         osc: the controller.  actuators: of the gripper, in robosuite's order.  closing_progress: see there.
         materials: shape -> how it touches; "table", "object" and the gripper's shapes by name.
         object_density_kg_m3: that gives its mass.
-        physics, sampling, starts, holding: see there.  stopping: slowest first.
+        physics, sampling, starts, holding: see there.  stopping: slowest first; empty from format version 5 on, which has it for every
+            form of command in Manifest.braking.
     """
 
     environment: str
@@ -686,6 +722,7 @@ class Manifest:
         run: the configuration of the run that trained the policy.  sha256: file -> digest.
         simulation: all that else closes the loop.  licence: of the bundle, by SPDX. Both None in format version 2.
         holds: under which conditions of a laboratory the policy holds; empty: not measured. None before format version 4.
+        braking: where the arm would come to rest, were it held. None before format version 5.
     """
 
     format: str
@@ -714,6 +751,7 @@ class Manifest:
     simulation: Simulation | None = None
     licence: str | None = None
     holds: tuple[Held, ...] | None = None
+    braking: Braking | None = None
 
     def __post_init__(self) -> None:
         for key, version in SINCE.items():

@@ -387,6 +387,46 @@ def bench_fuzz(
         raise SystemExit(1)
 
 
+@bench.command(name="hostile")
+@helped
+def bench_hostile(
+    bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
+    ticks: int = 20_000,
+    form: Literal["osc", "pose", "joint", "all"] = "all",
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Play wild policies in a world that lies, and hold every command against the manifest: no limit passed, every lie held in its tick.
+
+    A million ticks of each form take about an hour of an idle core. Exit status 1 if one is not as it must be.
+
+    Args:
+        bundle: folder, .zip, or the name of a shipped bundle.
+        ticks: of each form.
+        form: of the commands.
+        seed: of policy, noise and lies.
+        json: print one JSON object.
+    """
+    if ticks < 1 or seed < 0:
+        raise ToolkitError(f"ticks is {ticks} and seed {seed}; give at least one tick and a seed from 0 on")
+    from toolkit.benchmarks.hostile import hostile_ticks
+    from toolkit.bundle.reading import load_bundle
+    from toolkit.deploy.arm import FORMS
+
+    loaded, found = load_bundle(bundle), []
+    with Progress("hostile", quiet=json) as progress:
+        for each in FORMS if form == "all" else (form,):
+            shown = lambda done, each=each: progress.show(each, f"{done} of {ticks} ticks", done, ticks)  # noqa: E731
+            found.append(hostile_ticks(loaded, each, ticks, seed, shown))
+    if json:
+        emit({"bundle": loaded.manifest.robot.name, "seed": seed, "forms": [tally.to_json() for tally in found]}, True, "")
+    else:
+        table(f"{loaded.manifest.robot.name}: hostile ticks", ["form", "ticks", "episodes", "lies", "held ticks", "breaches", "first"],
+              [[t.form, t.ticks, t.episodes, t.lies, t.faults.total(), t.breaches.total(), t.first] for t in found])
+    if any(tally.breaches for tally in found):
+        raise SystemExit(1)
+
+
 @bench.command(name="faults")
 def bench_faults(
     bundle: Annotated[str, tyro.conf.Positional] = "kinova3",

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from toolkit.inspection.recording.layout import Layout
     from toolkit.inspection.recording.shows import Known
+    from toolkit.simulation.laws import Drivable
 
 STILLS, VIDEOS = (".png",), (".mp4", ".gif")
 """What the viewer saves, and what films are written as."""
@@ -264,7 +265,16 @@ def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     files = {name: folder / f"{name}{POLICY_FILE}" for name in content["targets"]}
     trained = {name: GaussianPolicy.load(file, task.observation_names, task.action_names) for name, file in files.items() if file.is_file()}
     policy, _ = load_expert(content["source"], task, content.get("expert"))
-    return Known(folder, lab.merged, policy, lambda name: native_plant(find_robot(name), task), trained)
+
+    def native(name: str) -> "Drivable":
+        plant = native_plant(find_robot(name), task)
+        if not content.get("randomise"):
+            return plant
+        from toolkit.evaluation.randomised import RandomisedRobot
+
+        return RandomisedRobot(plant, content["randomise"])
+
+    return Known(folder, lab.merged, policy, native, trained)
 
 
 def morph(

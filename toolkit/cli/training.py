@@ -137,6 +137,7 @@ def transfer(
     seed: int = 0,
     preset: str = "quick",
     episodes: int | None = None,
+    randomise: Path | None = None,
     run: Path | None = None,
     resume: bool = False,
     cluster: str | None = None,
@@ -173,7 +174,10 @@ def transfer(
         seed: of everything random.
         preset: quick (minutes), full, or paper (every number from the paper's table).
         episodes: of the final evaluation, per target, on F(beta) and on the unmodified robot; default: the preset's.
-        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with path and expert where they are not the usual.
+        randomise: JSON file of conditions, as stress names them, that every episode of the last hop, to the unmodified robot, draws from
+            ranges, such as {"pose_noise": [0, 0.02], "delay": [0, 4]}; the goal is then to be reached under them.
+        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with path, expert and file of conditions where they
+            are not the usual.
         resume: continue the run in that folder.
         cluster: Ray cluster that plays the episodes, with the same numbers: auto for the one that this machine belongs to, or HOST:PORT
             of its head; see docs/cluster.md.
@@ -194,11 +198,18 @@ def transfer(
             raise ToolkitError(f"{name} is {value}; give at least 1")
     bent = "" if path is None else f"{path}-"
     taught = "" if expert is None else f"-from-{Path(expert).name}"
-    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}"
+    under = "" if randomise is None else f"-under-{randomise.stem}"
+    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}{under}"
     if goals is None:
         usual = tuple(find_robot(name) for name in PRESETS[preset].get("targets", TARGETS))
         goals = tuple(family_of(what)[1:]) if isinstance(what, ModelTask) else usual
-    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task))
+    ranges = None
+    if randomise is not None:
+        from toolkit.evaluation.randomised import read_ranges
+
+        ranges = read_ranges(randomise)
+    job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task),
+              ranges)
     with Progress("transfer", quiet=json) as progress:
         paths = at_once or (1 if cluster is None else len(goals))
         pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run, cluster, paths)

@@ -392,3 +392,17 @@ class JointMotion(PoseMotion):
     def tracking(self, joints: np.ndarray) -> float:
         """See Motion."""
         return float(np.abs(joints - self.joints.place).max())
+
+
+def motion_of(form: Form, manifest: Manifest, kinematics: Kinematics, rate_hz: float, mjcf: str, played: np.ndarray) -> Motion:
+    """The motion of one form.
+
+    Args:
+        form: of the commands.
+        manifest, kinematics: of a bundle.
+        rate_hz: the arm's.
+        mjcf, played: robot.xml, and the golden episode's arm angles (T, n) [rad]: for a JointSolver.
+    """
+    if form == "joint":
+        return JointMotion(manifest, kinematics, rate_hz, JointSolver(manifest, mjcf, played))
+    return (OscMotion if form == "osc" else PoseMotion)(manifest, kinematics, rate_hz)

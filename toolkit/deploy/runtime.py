@@ -16,8 +16,8 @@ import numpy as np
 
 from toolkit.bundle.reading import Bundle
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
-from toolkit.deploy.kinematics import JointSolver, Kinematics
-from toolkit.deploy.motion import JointMotion, Motion, OscMotion, PoseMotion
+from toolkit.deploy.kinematics import Kinematics
+from toolkit.deploy.motion import motion_of
 from toolkit.deploy.observer import Observer
 from toolkit.deploy.safety import OVERDUE, Fault, Guard
 from toolkit.errors import ToolkitError
@@ -80,12 +80,7 @@ class Runtime:
         kinematics = Kinematics.of(manifest, bundle.mjcf)
         self.observer = Observer(manifest, kinematics, info)
         self.guard = Guard(manifest, self.observer)
-        self.motion: Motion
-        if form == "joint":
-            solver = JointSolver(manifest, bundle.mjcf, bundle.golden["episode_joints"])
-            self.motion = JointMotion(manifest, kinematics, info.rate_hz, solver)
-        else:
-            self.motion = (OscMotion if form == "osc" else PoseMotion)(manifest, kinematics, info.rate_hz)
+        self.motion = motion_of(form, manifest, kinematics, info.rate_hz, bundle.mjcf, bundle.golden["episode_joints"])
         self.period = 1.0 / manifest.policy_hz
         self._reached = self._held = 0
         self._fault: Fault | None = None

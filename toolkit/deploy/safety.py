@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolkit.bundle.manifest import Manifest
-from toolkit.deploy.arm import Command, State
+from toolkit.deploy.arm import Command, Form, State
 from toolkit.deploy.kinematics import vector_of
 from toolkit.deploy.liveness import TURNED, ArmLiveness, ObjectLiveness
 from toolkit.deploy.motion import Motion
@@ -49,6 +49,8 @@ SURE, GONE = 3, 2
 CAMERA = {"object_from_grasp": 0.08, "goal_from_object": 0.08, "object_rotation": float(np.sin(TURNED))}
 """[m] that the object may seem to move in a tick, whatever the manifest calls a jump: five standard deviations of what noise of 10 mm,
 which the policies bear, does to a difference; and the sine of the angle by which it may turn: one that topples is no camera that lies."""
+CREEPING = 0.01
+"""[m/s] of the grasp frame below which it is as good as at rest: a tick of it is half a millimetre."""
 SINKING = 1e-4
 """[m] that a commanded pose may sink in a tick and yet count as staying."""
 OVERSHOOT = 0.02
@@ -101,7 +103,10 @@ class Guard:
         box = manifest.cartesian
         self._box_low, self._box_high = np.array(box.low), np.array(box.high)
         self._clearance = box.table_top_m + box.table_clearance_m
-        self._held = watch.held_m
+        self._held, self._hz, self._braking = watch.held_m, manifest.policy_hz, manifest.braking
+        forms = {entry.form for entry in manifest.braking.distances} if manifest.braking else set()
+        self._brakes = {form: np.array([(0.0, 0.0)] + [(entry.speed_m_s, entry.distance_m) for entry in manifest.braking.distances
+                                                       if entry.form == form]).T for form in forms}
         names = [entry.name for entry in manifest.observation for _ in range(entry.size)]
         self._object = np.array([i for i, name in enumerate(names) if name == "object_from_grasp"])
         half = [value for value in np.ravel(manifest.task.object.get("half_size_m", [])) if isinstance(value, float)]
@@ -115,6 +120,8 @@ class Guard:
         self._last: np.ndarray | None = None
         self._missed, self._late, self._up, self._away, self._lifted = 1, 0, 0, 0, False
         self._led, self._sank = np.inf, 0.0
+        self._place: np.ndarray | None = None
+        self._velocity = np.zeros(3)
         self._arm_alive.begin()
         self._object_alive.begin()
 
@@ -267,6 +274,8 @@ class Guard:
                 return Fault("observation_jump", f"observation {self._names[worst]} moved by {step[worst]:.3g} in a tick")
         self._last, self._missed = observation, 1
         place = self.observer.kinematics.coordinates()
+        self._velocity = np.zeros(3) if self._place is None else (place - self._place)[:3] * self._hz
+        self._place = place
         out = (place < self._box_low - OVERSHOOT) | (place > self._box_high + OVERSHOOT)
         if out.any():
             worst = int(out.argmax())
@@ -307,6 +316,28 @@ class Guard:
                                             f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")
         if motion.tracking(self._arm) > self.manifest.watch.tracking_rad:
             return Fault("tracking", f"the arm stands {motion.tracking(self._arm):.3f} rad from where it was commanded")
+        return self._at_rest(place, motion.form) if motion.form in self._brakes else None
+
+    def _at_rest(self, place: np.ndarray, form: Form) -> Fault | None:
+        """Whether the arm would come to rest off the table and in its box, were it held after a command to grasp coordinates (6,).
+
+        Held, it first moves for a tick as it does, or under `osc` as the delta says, and then brakes, from the speed that is measured.
+        """
+        kinematics, speed = self.observer.kinematics, float(np.linalg.norm(self._velocity))
+        if speed < CREEPING:
+            return None
+        here = kinematics.position
+        before = place[:3] if form == "osc" else here + self._velocity / self._hz
+        rest = before + float(np.interp(speed, *self._brakes[form])) * self._velocity / speed
+        out = (rest < self._box_low[:3] - OVERSHOOT) | (rest > self._box_high[:3] + OVERSHOOT)
+        if out.any():
+            worst = int(out.argmax())
+            return Fault("workspace", f"held now, at {speed:.2f} m/s, the arm would come to rest at {COORDINATES[worst]} = "
+                                      f"{rest[worst]:.3f}, outside the workspace box")
+        height = kinematics.lowest() + min(0.0, float(rest[2] - here[2])) - self.manifest.cartesian.table_top_m
+        if self._velocity[2] < 0.0 and height < self._braking.table_clearance_m:
+            return Fault("table_clearance", f"held now, at {speed:.2f} m/s, the gripper would come to rest {height:.4f} m above the table, "
+                                            f"less than {self._braking.table_clearance_m:.4f} m")
         return None
 
     def alive(self, state: State, opening_m: float) -> Fault | None:
@@ -327,6 +358,7 @@ class Guard:
 
     def blind(self) -> None:
         """A tick without a state that may be trusted."""
+        self._place = None
         self._arm_alive.blink()
 
     def sent(self, command: Command, motion: Motion) -> None:

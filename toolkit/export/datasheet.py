@@ -4,8 +4,8 @@ The policy plays the robot; its robot answers single deltas; its empty gripper c
 """
 
 import copy
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -15,11 +15,12 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.pick import START_ROTATION
 from toolkit.bundle.manifest import Gripper, Response, Vector
+from toolkit.evaluation.stress import GOOD
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
 from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
 from toolkit.simulation.plant import CLOSING, Plant
-from toolkit.simulation.rollout import Tape, play
+from toolkit.simulation.rollout import Tape, play, play_on
 
 RESPONSE_STEPS, RESPONSE_AMPLITUDE = 12, 0.5
 """Policy steps over which an impulse is followed, and its action; beyond, the arm's posture pulls it back."""
@@ -53,7 +54,7 @@ class Played:
     Attributes:
         observations: (T, n_obs).  actions: (T, n_act) of the record.
         qpos: (T + 1, nq).  speeds, efforts: (T, n_arm) [rad/s, N m] at the end of each step.
-        grasp: (T + 1, 6) grasp_coordinates.  clearance: smallest height [m] of the gripper's shapes above the table.
+        grasp: (T + 1, 6) grasp_coordinates.  heights: (T + 1,) height [m] of the gripper's lowest shape above the table.
         success: share of successful episodes.
     """
 
@@ -63,7 +64,7 @@ class Played:
     speeds: list[np.ndarray]
     efforts: list[np.ndarray]
     grasp: list[np.ndarray]
-    clearance: float
+    heights: list[np.ndarray]
     success: float
 
 
@@ -80,8 +81,7 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
     model, arm = plant.model, arm_joints(plant.model)
     dofs, by_joint = model.jnt_dofadr[arm], {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
     motors = [by_joint[joint] for joint in arm]
-    out = Played([], [], [], [], [], [], np.inf, 0.0)
-    height, succeeded = np.inf, 0
+    out, succeeded = Played([], [], [], [], [], [], [], 0.0), 0
     for seed in seeds:
         rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
@@ -94,13 +94,39 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
         last = (plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant))
         speeds, efforts, grasp = (np.array(column) for column in zip(*rows, last, strict=True))
         succeeded += episode.success
-        height = min(height, *(lowest(row) for row in tape.qpos))
         for kept, value in (
             (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(tape.qpos)),
             (out.speeds, speeds[1:]), (out.efforts, efforts[1:]), (out.grasp, grasp),
+            (out.heights, np.array([lowest(row) for row in tape.qpos])),
         ):
             kept.append(value)
-    return Played(out.observations, out.actions, out.qpos, out.speeds, out.efforts, out.grasp, height, succeeded / len(seeds))
+    return replace(out, success=succeeded / len(seeds))
+
+
+def borne_start_error(plant: Plant, policy: GaussianPolicy, seeds: list[int], widths: Sequence[float]) -> float:
+    """Largest uniform error [rad] of all arm joints at the start, of those tried, that the policy bears: with it, and with all smaller
+    ones, at least GOOD of the episodes succeed; 0 if it does not bear the smallest.
+
+    Args:
+        plant: the native robot.
+        policy: who plays, without noise.
+        seeds: of the episodes.
+        widths: half widths [rad] to try, rising.
+    """
+    arm, borne = plant.model.jnt_qposadr[arm_joints(plant.model)], 0.0
+    for width in widths:
+        failures = 0
+        for seed in seeds:
+            plant.begin(seed)
+            plant.data.qpos[arm] += width * np.random.default_rng((seed, 1)).uniform(-1.0, 1.0, len(arm))
+            mujoco.mj_forward(plant.model, plant.data)
+            played = play_on(plant, lambda row, rng: policy.mean(row), np.random.default_rng(seed), plant.observe(),
+                             plant.task.horizon, Tape())
+            failures += not played.success
+            if failures > (1.0 - GOOD) * len(seeds):
+                return borne
+        borne = width
+    return borne
 
 
 def largest_step(rows: list[np.ndarray]) -> np.ndarray:

@@ -29,7 +29,6 @@ from toolkit.bundle.manifest import (
     Sampling,
     Simulation,
     Starts,
-    Stopping,
     Success,
 )
 from toolkit.export.datasheet import vector
@@ -44,12 +43,6 @@ STATES = 21
 """States of the gripper at which its targets are compared with a straight line."""
 EXAMPLES = 3
 """Starts that are written out."""
-STOPPED_FROM, MOVED_FOR, STOPPED_FOR = (0.25, 0.5, 1.0), 8, 16
-"""Deltas from which the arm is held, policy steps that it moves before, and that it is watched after."""
-DIRECTIONS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1))
-"""In which it moves: not down, where the object and the table are."""
-AT_REST = 1e-4
-"""[m] per policy step below which an arm stands."""
 
 LAW = (
     "tau = J^T [L_p (kp e_p - kd v); L_r (kp e_R - kd w)] + N^T M (null_space.law) + compensation, cut to torque_limit_nm; "
@@ -86,7 +79,7 @@ def read_simulation(robot: Robot, task: PickTask, plant: Plant, label: Success) 
                     f"{robot.gripper.robosuite_type}",
         mount_position_m=vector(robot.base_position), osc=_osc(env), actuators=_actuators(env), closing_progress=_progress(plant),
         materials=_materials(env), object_density_kg_m3=float(task.object.mass / task.object.volume), physics=_physics(model, task),
-        sampling=_sampling(plant), starts=_starts(task, label), holding=_holding(task), stopping=_stopping(plant),
+        sampling=_sampling(plant), starts=_starts(task, label), holding=_holding(task), stopping=(),
     )
 
 
@@ -267,27 +260,3 @@ def _holding(task: PickTask) -> Holding:
         consecutive=not counts([*short, away, near]), strict=not counts([edge] * task.hold_steps),
         counted="once after every policy step, from where the object is then, at the goal or on its way through it",
     )
-
-
-def _stopping(plant: Plant) -> tuple[Stopping, ...]:
-    """Held from one motion after another: deltas in every direction, then none."""
-    out = []
-    for action in STOPPED_FROM:
-        speeds, farthest, longest = [], 0.0, 0
-        for direction in DIRECTIONS:
-            plant.begin(0)
-            row, none = np.zeros(6 + len(COMMANDED_ROLES)), np.zeros(6 + len(COMMANDED_ROLES))
-            row[:3] = action * np.array(direction)
-            none[6:] = row[6:] = -1.0  # the gripper stays open
-            places = [plant.grasp_position]
-            for step in range(MOVED_FOR + STOPPED_FOR):
-                plant.step(row if step < MOVED_FOR else none)
-                places.append(plant.grasp_position)
-            path = np.array(places)
-            moved = np.linalg.norm(np.diff(path, axis=0), axis=1)
-            speeds.append(float(moved[MOVED_FOR - 1] * plant.task.control_frequency))
-            farthest = max(farthest, float(np.linalg.norm(path[MOVED_FOR:] - path[MOVED_FOR], axis=1).max()))
-            still = np.flatnonzero(moved[MOVED_FOR:] >= AT_REST)
-            longest = max(longest, int(still[-1]) + 1 if len(still) else 0)
-        out.append(Stopping(float(action), max(speeds), farthest, longest / plant.task.control_frequency))
-    return tuple(out)

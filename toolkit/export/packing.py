@@ -2,11 +2,12 @@
 
 import hashlib
 import io
+import itertools
 import json
 import os
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,7 +30,10 @@ from tasks.pick import (
 from toolkit.bundle.manifest import (
     FORMAT,
     FORMAT_VERSION,
+    SINCE,
     Acted,
+    Braking,
+    BrakingDistance,
     Cartesian,
     Controller,
     Finger,
@@ -65,9 +69,11 @@ from toolkit.bundle.reading import (
 )
 from toolkit.bundle.schema import manifest_schema
 from toolkit.bundle.signing import sign
+from toolkit.deploy.arm import FORMS
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
 from toolkit.export import datasheet
+from toolkit.export.braking import measure_braking
 from toolkit.export.datasheet import Played, vector
 from toolkit.export.loop import licence, read_simulation
 from toolkit.export.robot_xml import robot_mjcf
@@ -107,6 +113,9 @@ LOW_MARGIN, CLEARANCE_MARGIN, BRUSHING = 0.01, 0.005, 0.002
 the gripper comes so close to it that it brushes it."""
 LEAD = (0.05, 0.05, 0.05, 0.25, 0.25, 0.25)
 """[m, rad] by which a commanded pose may run ahead: as far as one full delta of robosuite's goal does."""
+START_ERRORS = (0.01, 0.02, 0.035, 0.05)
+"""[rad] half widths of the arm joints' uniform error at the start that are tried, until one is not borne: an arm that stands three degrees
+off is not where it was sent, whatever the policy bears."""
 STEP_MARGIN, STEP_FLOOR = 1.5, 0.2
 """Change of an action entry per tick."""
 JUMP_MARGIN = 3.0
@@ -350,18 +359,24 @@ def _describe(
     progress(f"playing {disturbed} episodes with the noise of training")
     noisy = datasheet.watch(plant, policy, seeds[undisturbed:], True, lowest)
     golden, arrays = _golden(plant, robot, policy, action_map, onnx)
+    progress("playing from start postures that are a little off")
+    borne = datasheet.borne_start_error(plant, policy, seeds[:undisturbed], START_ERRORS)
+    start = replace(start, **_tolerances(kinematics, start, borne or START_ERRORS[0]))
     progress("reading what else closes the loop")
     simulation = read_simulation(robot, task, plant, success)
     manifest = Manifest(
-        format=FORMAT, format_version=FORMAT_VERSION, robot=card, task=task_card(task), frames=FRAMES,
+        format=FORMAT, format_version=SINCE["braking"] - 1, robot=card, task=task_card(task), frames=FRAMES,
         policy_hz=task.control_frequency, controller_hz=float(round(1.0 / plant.model.opt.timestep)),
         controller=_controller(plant, base, response), observation=_observation(calm, noisy),
         action=_action(calm, action_map), fingers=fingers, gripper=gripper, start=start,
-        joints=_joints(robot, plant, calm), cartesian=_cartesian(calm, task.control_frequency), watch=_watch(calm, task),
+        joints=_joints(robot, plant, calm), cartesian=_cartesian(calm, start, task.control_frequency), watch=_watch(calm, task),
         lineage=lineage, success=success,
         golden=golden, graph=Graph(OPSET, IR_VERSION, "float32", "action"), versions=_versions(), run=config,
         sha256={}, simulation=simulation, licence=licence(), holds=holds,
     )
+    progress("braking in every form of command")
+    distances = measure_braking(robot, task, manifest, mjcf, arrays["episode_joints"])
+    manifest = replace(manifest, format_version=FORMAT_VERSION, braking=_braking(distances, calm, manifest))
     urdf = robot_urdf(mjcf, manifest, coupled).encode()
     return manifest, {MJCF: mjcf.encode(), URDF: urdf, SCENE: scene.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
 
@@ -474,9 +489,21 @@ def _start(plant: Plant) -> Start:
     return Start(
         arm_rad=vector(qpos[model.jnt_qposadr[arm_joints(model)]]),
         fingers={plain_name(model.joint(j).name): float(qpos[model.jnt_qposadr[j]]) for j in fingers},
-        grasp_position_m=vector(START_POSITION), grasp_quaternion=vector(quaternion), tolerance_rad=0.05, tolerance_m=0.02,
-        tolerance_rotation_rad=0.1,
+        grasp_position_m=vector(START_POSITION), grasp_quaternion=vector(quaternion), tolerance_rad=START_ERRORS[0],
+        tolerance_m=1.0, tolerance_rotation_rad=1.0,  # until they are measured
     )
+
+
+def _tolerances(kinematics: Kinematics, start: Start, width: float) -> dict[str, float]:
+    """Start's tolerances where every arm joint may be off by ``width`` [rad]: the grasp frame goes farthest where each is off by all."""
+    arm, fingers = np.array(start.arm_rad), np.array(list(start.fingers.values()))
+    kinematics.place(arm, fingers)
+    here, moved = kinematics.coordinates(), []
+    for corner in itertools.product((-width, width), repeat=len(arm)):
+        kinematics.place(arm + corner, fingers)
+        moved.append(kinematics.coordinates() - here)
+    shift, turn = (float(np.linalg.norm(part, axis=1).max()) for part in np.split(np.array(moved), 2, axis=1))
+    return {"tolerance_rad": width, "tolerance_m": shift, "tolerance_rotation_rad": turn}
 
 
 def _joints(robot: Robot, plant: Plant, calm: Played) -> tuple[Joint, ...]:
@@ -503,20 +530,37 @@ def _joints(robot: Robot, plant: Plant, calm: Played) -> tuple[Joint, ...]:
     return tuple(out)
 
 
-def _cartesian(calm: Played, rate: float) -> Cartesian:
+def _cartesian(calm: Played, start: Start, rate: float) -> Cartesian:
+    """What undisturbed episodes needed, with a margin, and a start within its tolerance."""
     rows = np.concatenate(calm.grasp)
     speed = datasheet.largest_step(calm.grasp) * rate
     push = datasheet.largest_step([np.vstack([np.zeros(6), np.diff(visited, axis=0) * rate]) for visited in calm.grasp]) * rate
-    margin = np.array(BOX_MARGIN)
+    clearance = min(float(heights.min()) for heights in calm.heights)
+    margin, begins = np.array(BOX_MARGIN), np.append(start.grasp_position_m, [0.0, 0.0, 0.0])
+    about = np.repeat([start.tolerance_m, start.tolerance_rotation_rad], 3)
     low, high = rows.min(axis=0) - margin, rows.max(axis=0) + margin
     low[2] = rows[:, 2].min() - LOW_MARGIN
-    room = min(CLEARANCE_MARGIN, 0.5 * calm.clearance) if calm.clearance > BRUSHING else CLEARANCE_MARGIN
+    low, high = np.minimum(low, begins - about), np.maximum(high, begins + about)
+    room = min(CLEARANCE_MARGIN, 0.5 * clearance) if clearance > BRUSHING else CLEARANCE_MARGIN
     return Cartesian(
         low=vector(low), high=vector(high),
         speed=vector(np.maximum(SPEED_MARGIN * speed, np.repeat(CARTESIAN_SPEED_FLOOR, 3))),
         acceleration=vector(np.maximum(ACCELERATION_MARGIN * push, np.repeat(CARTESIAN_ACCELERATION_FLOOR, 3))),
-        lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(calm.clearance - room),
+        lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(clearance - room),
     )
+
+
+def _braking(distances: tuple[BrakingDistance, ...], calm: Played, manifest: Manifest) -> Braking:
+    """How low undisturbed episodes would have ended, held at the worst of their ticks in the worst of the forms; with a margin."""
+    lowest = np.inf
+    for visited, heights in zip(calm.grasp, calm.heights, strict=True):
+        velocity = np.diff(visited[:, :3], axis=0) * manifest.policy_hz
+        speed = np.linalg.norm(velocity, axis=1)
+        goes = np.max([np.interp(speed, *np.array([(0.0, 0.0), *((d.speed_m_s, d.distance_m) for d in distances if d.form == form)]).T)
+                       for form in FORMS], axis=0)
+        down = velocity[:, 2] / manifest.policy_hz + goes * velocity[:, 2] / np.maximum(speed, 1e-9)
+        lowest = min(lowest, float((heights[1:] + np.minimum(0.0, down)).min()))
+    return Braking(distances, lowest - CLEARANCE_MARGIN)
 
 
 def _watch(calm: Played, task: PickTask) -> Watch:

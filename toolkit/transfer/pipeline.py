@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +12,7 @@ import numpy as np
 from tasks.task import Task
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
+from toolkit.evaluation.randomised import RandomisedEngine, RandomisedRobot, evaluate_randomised
 from toolkit.evaluation.success import Evaluation, evaluate_compiled, evaluate_merged, evaluate_native
 from toolkit.evolution import EvolutionTree, Metric
 from toolkit.evolution.bend import Bend
@@ -65,6 +66,7 @@ class Job:
         transfer: the schedule.
         evaluation_episodes: per target and robot, after training.
         expert: name of the source's policy, as for `load_expert`; None: the one shipped for source and task.
+        randomise: conditions of a laboratory under which the last hop, to the unmodified robot, trains; None: as it is.
     """
 
     source: System
@@ -73,10 +75,13 @@ class Job:
     transfer: TransferConfig = field(default_factory=TransferConfig)
     evaluation_episodes: int = 200
     expert: str | None = None
+    randomise: Mapping[str, tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         check_roles(self.source, self.targets)
         check_players((self.source, *self.targets), self.task)
+        if self.randomise and "object_from_grasp" not in self.task.observation:
+            raise ToolkitError(f"task {self.task.name!r} has no object to be seen, and no conditions of a laboratory; leave randomise out")
 
     def config(self) -> dict[str, Any]:
         """As written to config.json, and compared on --resume."""
@@ -84,7 +89,8 @@ class Job:
             "source": self.source.name, "targets": [robot.name for robot in self.targets], "task": self.task.name,
             "transfer": asdict(self.transfer), "evaluation_episodes": self.evaluation_episodes,
         }
-        return asked if self.expert is None else asked | {"expert": self.expert}
+        asked |= {} if self.expert is None else {"expert": self.expert}
+        return asked | ({"randomise": {name: list(pair) for name, pair in self.randomise.items()}} if self.randomise else {})
 
 
 def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **overrides: Any) -> TransferConfig:
@@ -230,7 +236,15 @@ class Pipeline:
         self.story = _Told(folder, begin if self._begin else lambda: None)
 
     def _native(self, robot: System, dump: Path) -> Engine:
-        """Plays on the unmodified robot of a target."""
+        """Plays on the unmodified robot of a target: where the last hop is trained and measured.
+
+        Raises:
+            ToolkitError: under a laboratory's conditions on a cluster, which plays undisturbed robots.
+        """
+        if self.cluster is not None and self.job.randomise:
+            raise ToolkitError("a cluster plays no conditions of a laboratory; leave cluster or randomise out")
+        if self.job.randomise:
+            return RandomisedEngine(robot, self.job.task, self.job.randomise, dump=dump)
         return NativeEngine(robot, self.job.task, dump=dump) if self.cluster is None else ClusterEngine(self.cluster, robot, dump)
 
     def play(self) -> dict[str, Any]:
@@ -245,6 +259,8 @@ class Pipeline:
                 policy.save(self.run.path / f"{name}{POLICY_FILE}")
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
             report = self._report(evaluations)
+            if self.job.randomise:
+                report["randomised"] = self._randomised(policies)
             self.run.write_json("report", report)
             self.story.aside(lambda: self.run.write_summary(summary(report, self.tree)))
             self.story.summary(summary(report, self.tree))
@@ -310,7 +326,8 @@ class Pipeline:
 
     def _plant(self, name: str) -> Drivable:
         """An unmodified target robot for the recording's films."""
-        return native_plant(next(robot for robot in self.job.targets if robot.name == name), self.job.task)
+        plant = native_plant(next(robot for robot in self.job.targets if robot.name == name), self.job.task)
+        return RandomisedRobot(plant, self.job.randomise) if self.job.randomise else plant
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 
@@ -334,6 +351,16 @@ class Pipeline:
             "merged": evaluate_merged(policy, self.engine, name, episodes),
             "native": evaluate_native(policy, robot, self.job.task, episodes),
         }
+
+    def _randomised(self, policies: dict[str, GaussianPolicy]) -> dict[str, Any]:
+        """Target -> the expert, untrained, and its policy under the conditions that the last hop was trained under."""
+        job, found = self.job, {}
+        expert, _ = load_expert(job.source.name, job.task, job.expert)
+        for robot in job.targets:
+            played = {who: evaluate_randomised(policy, robot, job.task, job.randomise, job.evaluation_episodes).to_json()
+                      for who, policy in (("untrained", expert), ("trained", policies[robot.name]))}
+            found[robot.name] = {"conditions": job.config()["randomise"], **played}
+        return found
 
     def _report(self, evaluations: dict[str, dict[str, Evaluation]]) -> dict[str, Any]:
         costs = self.transfer.costs
@@ -391,6 +418,10 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
         cells = (markdown(name), _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", *_needed(report["untrained"])]
+    for name, found in report.get("randomised", {}).items():
+        under = ", ".join(f"{condition} {low:g} to {high:g}" for condition, (low, high) in found["conditions"].items())
+        rates = f"{_rate(found['untrained'])} untrained, {_rate(found['trained'])} trained"
+        lines += ["", f"{markdown(name)} under {markdown(under)}: {rates}."]
     lines += ["", "| path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|"]
     for path, route in report["routes"].items():
         name = markdown(f"{path}: {' to '.join(route)}")
