@@ -129,6 +129,10 @@ def _narrow_palm(spec: mujoco.MjSpec) -> None:
     _freeze(spec, ["LFJ4"])
 
 
+def unchanged(spec: mujoco.MjSpec) -> None:
+    """Leave ADROIT as it is."""
+
+
 def become(spec: mujoco.MjSpec, fingers: tuple[str, ...]) -> None:
     """Make ADROIT in a scene a hand of the thumb and these fingers, "ff" among them."""
     _simplify_thumb(spec)
@@ -183,7 +187,7 @@ _MEASURES = "targets of the Hand Manipulation Suite in Meta-Evolve (ICLR 2024), 
 ADROIT_FREE = ModelRobot(
     name="adroit-free",
     family=FAMILY,
-    change=lambda spec: None,
+    change=unchanged,
     datasheet="gymnasium-robotics 1.4 adroit_hand, unchanged (model by Vikash Kumar)",
     source_of_policy=True,
 )

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import toolkit
-from robots import ROBOTS
-from tasks import TASKS
+from robots import MODEL_ROBOTS, ROBOTS
+from tasks import MODEL_TASKS, TASKS
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
 from tasks.task import entry_names
@@ -257,19 +257,20 @@ def test_the_headline_expert_is_shipped():
 
 @pytest.mark.parametrize("card", CARDS, ids=lambda card: card.stem)
 def test_a_shipped_expert_explains_itself(card):
-    source, task = shipped_pair(card.stem)
-    assert source in ROBOTS and task in TASKS
+    source, name = shipped_pair(card.stem, MODEL_ROBOTS)
+    task = (TASKS | MODEL_TASKS)[name]
+    assert source in (MODEL_ROBOTS if name in MODEL_TASKS else ROBOTS)
     files = [card.with_name(f"{card.stem}.{kind}.safetensors") for kind in ("policy", "value")]
-    policy = GaussianPolicy.load(files[0], entry_names(OBSERVATION), entry_names(ACTION))
-    assert policy.observation_names == ValueFunction.load(files[1], entry_names(OBSERVATION)).observation_names
+    policy = GaussianPolicy.load(files[0], task.observation_names, task.action_names)
+    assert policy.observation_names == ValueFunction.load(files[1], task.observation_names).observation_names
     size = sum(file.stat().st_size for file in (*files, card))
     assert size < 10**6, f"{size / 1e6:.1f} MB"
     content = json.loads(card.read_text())
     words = shlex.split(content["command"])
     assert words[:2] == ["meta-evolve", "expert"]
     given = dict(zip(words[2::2], words[3::2], strict=True))
-    assert (given["--source"], given["--task"]) == (source, task) and int(given["--seed"]) >= 0
-    assert ("--demos" in given) == card.stem.endswith(RECORDED)
+    assert (given["--source"], given["--task"]) == (source, name) and int(given["--seed"]) >= 0
+    assert ("--demos" in given) == (card.stem.endswith(RECORDED) or name in MODEL_TASKS)
     assert int(given["--demonstrations"]) == content["demonstrations"] >= content["demonstrations_kept"] > 0
     result = content["evaluation"]
     assert result["target"] == source and result["env"] in ("native", "native-compiled") and result["episodes"] >= 100

@@ -1,5 +1,7 @@
 """The free ADROIT and its targets: one joint per finger moves, vanished fingers are out of the way, nothing blows up."""
 
+import pickle
+
 import mujoco
 import numpy as np
 import pytest
@@ -135,3 +137,9 @@ def test_elements_put_together_what_belongs_together():
     assert element("palm", "size") == element("lfmetacarpal", "size")
     assert element("thhub", "mount") == element("thproximal", "size") and element("thdistal", "mount") == element("thmiddle", "size")
     assert len({element(f"{finger}distal", "joint") for finger in ("ff", "mf", "rf", "lf", "th")}) == 5
+
+
+@pytest.mark.parametrize("name", ["adroit-free", *HANDS])
+def test_hands_go_to_other_processes(name):
+    """Evaluations play in worker processes."""
+    assert pickle.dumps(MODEL_ROBOTS[name]) and pickle.dumps(MODEL_TASKS["door"])

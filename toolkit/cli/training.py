@@ -11,7 +11,14 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
+    from robots.model_robot import ModelRobot
+    from robots.robot import Robot
+    from tasks.pick import PickTask
+    from tasks.task import ModelTask
+    from toolkit.expert.training import ExpertConfig
     from toolkit.inspection.recording.story import Story
+    from toolkit.learning.policy import GaussianPolicy, ValueFunction
+    from toolkit.runs.run import Run
 
 
 def expert(
@@ -31,18 +38,19 @@ def expert(
 ) -> None:
     """Train the source expert: demonstrations, behaviour cloning, natural policy gradient under the sparse reward.
 
-    Demonstrations are scripted, or with --demos recordings of hands in DexYCB's format, retargeted to the robot's hand; these
-    also pull the policy gradient (DAPG). Writes logs/<run>/: config, metrics, checkpoints, report. Ctrl-C leaves a run that
-    --resume continues to the same result.
+    Demonstrations are scripted, or with --demos recordings of hands in DexYCB's format, retargeted to the robot's hand; for door,
+    hammer and relocate --demos is a file of recorded steps. What was recorded also pulls the policy gradient (DAPG). Writes
+    logs/<run>/: config, metrics, checkpoints, report. Ctrl-C leaves a run that --resume continues to the same result.
 
     Args:
         source: the robot to train on.
         task: what it does; an expert for "<object>-wide" serves "<object>" as well and is evaluated on both.
-        demos: folder of recordings, as made by `meta-evolve recordings make`, or DexYCB's own.
+        demos: folder of recordings, as made by `meta-evolve recordings make`, or DexYCB's own; a file of recorded steps, of the format
+            in docs/demonstrations.md or hand_dapg's.
         frame_rate: of the recordings [Hz].
         out: folder for the policy; default: the package's own experts.
         updates: natural-gradient updates after cloning.
-        demonstrations: demonstrated episodes; failed ones are dropped and counted.
+        demonstrations: demonstrated episodes; failed ones are dropped and counted. Of a file, its first so many.
         seed: of everything random.
         episodes: of the final evaluation on the source robot itself, on unseen seeds.
         compiled: evaluate with the compiled control step in place of robosuite's own: the same physics, many times faster.
@@ -54,27 +62,25 @@ def expert(
         raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
                            "least one episode and one demonstration, updates and seed from 0 on")
     robot, what = find_robot(source), find_task(task)
-    from toolkit.demonstrations.rehearsal import Studio, teachers_for
+    from tasks.task import ModelTask
     from toolkit.evaluation.success import evaluate_compiled, evaluate_native
     from toolkit.expert.shelf import POLICY_FILE, RECORDED, SHIPPED, narrow_task, save_expert
-    from toolkit.expert.training import ExpertConfig, train_expert
+    from toolkit.expert.training import ExpertConfig
+    from toolkit.morphology.lab import check_players
     from toolkit.runs.run import Run
-    from toolkit.simulation.rollout import RolloutEngine
 
+    check_players([robot], what)
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
              "updates": updates, "demonstrations": demonstrations}
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
-    if demos is not None and not resume:
-        Studio(demos, robot, frame_rate)  # no run folder for recordings that are not there
+    # Before there is a run folder: none for demonstrations that are not there.
+    prepare = _steps_teach if isinstance(what, ModelTask) else _hands_teach
     with Progress("expert", quiet=json) as progress:
+        train = prepare(robot, what, None if demos is None else (demos, frame_rate, resume), config, progress)
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
         with kept.at_work():
-            watch = progress.recordings(what.object.name)
-            teachers = None if demos is None else lambda: teachers_for(demos, robot, what, frame_rate, watch)
-            engine = RolloutEngine(make_lab(source, [name for name in TARGETS if name != source], task).merged)
-            policy, value, card = train_expert(engine, source, config, progress.expert(config), teachers, kept)
-            engine.close()
+            policy, value, card = train(kept)
             policy.save(folder / f"{source}{POLICY_FILE}")
             results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
             counter = lambda name: progress.count(f"{source}, unmodified, {name}", episodes)  # noqa: E731
@@ -93,7 +99,7 @@ def expert(
         low, high = result.ci95
         name = task if key == "evaluation" else narrow_task(what).name
         lines.append(f"{source}, {name}: {result.successes} of {episodes} on the source robot ({low:.2f} to {high:.2f})")
-    name = f"{source}-{task}{'' if demos is None else RECORDED}"
+    name = f"{source}-{task}{RECORDED if demos is not None and prepare is _hands_teach else ''}"
     try:
         save_expert(policy, value, out or SHIPPED, name, card)
         lines.append(f"Saved in {out or SHIPPED}; run folder: {folder}")
@@ -102,6 +108,52 @@ def expert(
         raise ToolkitError(f"the expert is trained, but {name} cannot be saved in {out or SHIPPED} ({error}); give another --out, with "
                            "--resume") from None
     emit(card, json, "\n".join(lines))
+
+
+Training = Callable[["Run"], tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]]
+"""Trains within a run: the policy, its value function, and what its card says."""
+Shown = tuple[Path, float, bool]
+"""Where demonstrations lie, their frame rate [Hz], and whether a run that has looked at them is resumed."""
+
+
+def _hands_teach(robot: "Robot", task: "PickTask", shown: Shown | None, config: "ExpertConfig", progress: Progress) -> Training:
+    """A pick's expert: taught by a script, or by recordings of hands."""
+    from toolkit.demonstrations.rehearsal import Studio, teachers_for
+    from toolkit.expert.training import train_expert
+    from toolkit.simulation.rollout import RolloutEngine
+
+    if shown is not None and not shown[2]:
+        Studio(shown[0], robot, shown[1])
+
+    def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
+        watch = progress.recordings(task.object.name)
+        teachers = None if shown is None else lambda: teachers_for(shown[0], robot, task, shown[1], watch)
+        engine = RolloutEngine(make_lab(robot.name, [name for name in TARGETS if name != robot.name], task.name).merged)
+        found = train_expert(engine, robot.name, config, progress.expert(config), teachers, run)
+        engine.close()
+        return found
+
+    return train
+
+
+def _steps_teach(robot: "ModelRobot", task: "ModelTask", shown: Shown | None, config: "ExpertConfig", progress: Progress) -> Training:
+    """The expert of a task on one model: taught by recorded steps, on the unmodified robot."""
+    from toolkit.demonstrations.hand_dapg import read_demonstrations
+    from toolkit.expert.training import imitate
+    from toolkit.simulation.rollout import NativeEngine
+
+    if shown is None:
+        raise ToolkitError(f"task {task.name} has no script that could teach; give --demos, a file of recorded steps "
+                           "(docs/demonstrations.md)")
+    recorded = read_demonstrations(shown[0], task)
+
+    def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
+        engine = NativeEngine(robot, task)
+        found = imitate(engine, config, recorded, progress.expert(config), run)
+        engine.close()
+        return found
+
+    return train
 
 
 def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Sequence[str]) -> list[str]:

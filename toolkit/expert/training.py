@@ -1,4 +1,4 @@
-"""The source expert: behaviour cloning of scripted demonstrations, then natural policy gradient under the sparse reward."""
+"""The source expert: behaviour cloning of demonstrations, then natural policy gradient under the sparse reward."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -8,6 +8,7 @@ import numpy as np
 
 from tasks.pick import OBSERVATION
 from tasks.task import Task
+from toolkit.demonstrations.recorded import Recorded
 from toolkit.demonstrations.scripts import PickScript, pick_script
 from toolkit.demonstrations.tracks import TrackScript
 from toolkit.errors import ToolkitError
@@ -18,7 +19,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
 from toolkit.runs.seeds import DEMONSTRATION_SEEDS, EXPERT_SEEDS, VISIT_SEEDS
-from toolkit.simulation.rollout import RolloutEngine
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 
 Script = PickScript | TrackScript
 _NOISE = {
@@ -58,6 +59,8 @@ class ExpertConfig:
     """Of everything random."""
     cloning: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=40, init_log_std=-2.5))
     """Behaviour cloning."""
+    imitation: CloningConfig = field(default_factory=lambda: CloningConfig(epochs=400, init_log_std=-2.5))
+    """Behaviour cloning of steps from a file: nobody can be asked what to do beside them, so they are learned to the last digit."""
     npg: NpgConfig = field(default_factory=lambda: NpgConfig(step_size=0.005, batch_size=24))
     """The learner; larger steps than in transfer, as nothing is lost if the clone changes."""
 
@@ -181,7 +184,7 @@ def train_expert(
     rng = np.random.default_rng(config.seed)
     beta = engine.merged.space.beta(source)
     policy, value = new_learner(engine.merged.task, config.seed)
-    training = _Training(engine, beta, config, policy, value, rng, teachers is not None, report, run)
+    training = _Training(engine, engine.merged.task, beta, config, policy, value, rng, teachers is not None, report, run)
     training.restore()
     if not training.cloned:
         scripts, counts = ({"script": pick_script(engine.merged.task.object)}, {}) if teachers is None else teachers()
@@ -191,14 +194,45 @@ def train_expert(
     return policy, value, training.card
 
 
+def imitate(
+    engine: NativeEngine,
+    config: ExpertConfig,
+    recorded: Recorded,
+    report: Callable[[dict[str, Any]], None] = lambda record: None,
+    run: Run | None = None,
+) -> tuple[GaussianPolicy, ValueFunction, dict[str, Any]]:
+    """Clone recorded steps, then improve on the robot itself, pulled by them (DAPG).
+
+    Args:
+        engine: plays the unmodified robot in its task.
+        config: how; of the episodes recorded, the first ``demonstrations`` teach.
+        recorded: what was shown in this task.
+        report: called with every event.
+        run: as for ``train_expert``.
+
+    Returns:
+        policy, value function, and statistics.
+    """
+    rng = np.random.default_rng(config.seed)
+    policy, value = new_learner(engine.task, config.seed)
+    training = _Training(engine, engine.task, np.zeros(1), config, policy, value, rng, True, report, run)
+    training.restore()
+    if not training.cloned:
+        training.imitate(recorded)
+    while training.updates < config.updates:
+        training.update()
+    return policy, value, training.card
+
+
 class _Training:
     """The state of an expert's training; every change of it ends in a checkpoint."""
 
     def __init__(
-        self, engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, policy: GaussianPolicy, value: ValueFunction,
-        rng: np.random.Generator, recorded: bool, report: Callable[[dict[str, Any]], None], run: Run | None,
+        self, engine: RolloutEngine | NativeEngine, task: Task, beta: np.ndarray, config: ExpertConfig,
+        policy: GaussianPolicy, value: ValueFunction, rng: np.random.Generator, recorded: bool,
+        report: Callable[[dict[str, Any]], None], run: Run | None,
     ) -> None:
-        self.engine, self.beta, self.config, self.recorded = engine, beta, config, recorded
+        self.engine, self.task, self.beta, self.config, self.recorded = engine, task, beta, config, recorded
         self.policy, self.value, self.rng, self.run = policy, value, rng, run
         self._report, self._records = report, 0
         self.updates, self.rounds, self.cloned, self.card = 0, 0, False, {}
@@ -223,7 +257,7 @@ class _Training:
     def _first_lessons(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> None:
         """Choose the teacher, let it demonstrate, clone it."""
         config = self.config
-        strict = replace(self.engine.merged.task, goal_tolerance=config.demonstrated_tolerance)
+        strict = replace(self.task, goal_tolerance=config.demonstrated_tolerance)
         stage = RolloutEngine(MergedRobot(self.engine.merged.space, strict), self.engine.threads)
         name = _best_teacher(stage, self.beta, config, scripts, self.report)
         lessons, kept = _demonstrate(stage, self.beta, config, scripts[name], self.rng)
@@ -237,6 +271,18 @@ class _Training:
             self.card["teacher"] = name
         self.cloned = not self.recorded
         self._learn(lessons, config.cloning)
+
+    def imitate(self, recorded: Recorded) -> None:
+        """Clone the steps of a file's first episodes as they are."""
+        rows, kept = int(recorded.lengths[: self.config.demonstrations].sum()), min(len(recorded.lengths), self.config.demonstrations)
+        self.report({"event": "demonstrations", "played": len(recorded.lengths), "kept": kept})
+        self.card = {"demonstrations_kept": kept, "demonstrations": self.config.demonstrations, "steps": rows}
+        self.lessons = _Lessons(recorded.observations[:rows], recorded.actions[:rows], rows)
+        self._fit(self.lessons, self.config.imitation)
+        if self.run is not None:
+            self._save_lessons(self.lessons)  # before the checkpoint that counts on them
+        self.cloned = True
+        self.checkpoint()
 
     def _visits(self, script: Script) -> None:
         """The clone plays and its teacher says what it would have done, until the clone has mastered the task."""
@@ -258,7 +304,7 @@ class _Training:
 
     def _fit(self, lessons: _Lessons, config: CloningConfig) -> None:
         seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "of": config.epochs, "loss": loss})  # noqa: E731
-        floor = self.engine.merged.task.observation_scale
+        floor = self.task.observation_scale
         losses = clone(self.policy, lessons.seen, lessons.labels, config, self.rng, scale_floor=floor, progress=seen)
         self.card["cloning_loss"] = losses[-1]
 
