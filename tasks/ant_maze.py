@@ -1,14 +1,17 @@
 """An ant finds its way out of a maze: the paper's second experiment, on a maze of our own, as its is not public.
 
-A U of seven cells of 3 m, one around a wall, whose last cell is open to the outside (x to the east, y to the north, the centre at 0):
+A U of five cells of 3 m around a wall, whose last cell is open to the outside (x to the east, y to the north, the centre at 0):
 
-    +-----------------+
-    | start  ->       |
-    +-----------+     |
-    |###########|  |  |
-    +-----------+  v  |
-    <- out  <-        |
-    ------------------+
+    +-----------+
+    | start ->  |
+    +-----+     |
+    |#####|  |  |
+    +-----+  v  |
+    <- out <-   |
+    ------------+
+
+The way is 12.5 m, so that an episode of 10 s, as long as the paper's, asks for a mean speed of 1.25 m/s from rest: ants run twice as fast,
+but heavier ones have to be able to leave it as well.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,19 +33,19 @@ CELL = 3.0
 """Width [m] of the corridors; an ant's feet stand 2 m apart."""
 WALL_HEIGHT, WALL_WIDTH = 1.0, 0.3
 """Of the walls [m]; that in the middle is a cell wide."""
-INNER = 1.5 * CELL
-"""Distance [m] of the outer walls' inner faces from the centre."""
-OUTER = INNER + WALL_WIDTH
-"""Distance [m] of their outer faces."""
+EAST, NORTH = CELL, 1.5 * CELL
+"""Distances [m] of the outer walls' inner faces from the centre."""
+OUT_EAST, OUT_NORTH = EAST + WALL_WIDTH, NORTH + WALL_WIDTH
+"""Distances [m] of their outer faces."""
 WALLS: dict[str, tuple[float, float, float, float]] = {
-    "north": (-OUTER, OUTER, INNER, OUTER),
-    "east": (INNER, OUTER, -INNER, INNER),
-    "south": (-OUTER, OUTER, -OUTER, -INNER),
-    "west": (-OUTER, -INNER, -CELL / 2, INNER),
-    "middle": (-INNER, CELL / 2, -CELL / 2, CELL / 2),
+    "north": (-OUT_EAST, OUT_EAST, NORTH, OUT_NORTH),
+    "east": (EAST, OUT_EAST, -NORTH, NORTH),
+    "south": (-OUT_EAST, OUT_EAST, -OUT_NORTH, -NORTH),
+    "west": (-OUT_EAST, -EAST, -CELL / 2, NORTH),
+    "middle": (-EAST, 0.0, -CELL / 2, CELL / 2),
 }
 """Least and greatest x, least and greatest y [m] of each wall."""
-START = (-CELL, CELL)
+START = (-CELL / 2, CELL)
 """Centre of the first cell [m]."""
 START_SHIFT, START_YAW = 0.15, 0.1
 """Half widths of the uniform noise on where the ant starts [m] and how it is turned [rad]: its legs are straight there, and those of the
@@ -65,7 +68,7 @@ OBSERVATION: dict[str, int] = {
     "velocity": 3,  # of the torso [m/s], world axes
     "angular_velocity": 3,  # of the torso [rad/s], its own axes
     **{f"{joint}_{leg}_speed": 1 for leg in range(1, 5) for joint in ("hip", "ankle")},  # [rad/s]
-    "place": 2,  # x and y of the torso, in half widths of the maze
+    "place": 2,  # x and y of the torso, in cells
 }
 """The observation record: Ant-v5's without contact forces, and where the ant is."""
 ACTION: dict[str, int] = {f"{joint}_{leg}": 1 for leg in (4, 1, 2, 3) for joint in ("hip", "ankle")}
@@ -147,7 +150,7 @@ class AntMaze(PractisedTask):
 
     def progress(self, observations: np.ndarray) -> np.ndarray:
         """How far along the centre line (N,) [m] the ant is in each observation (N, 29); at the first cell's centre 0, see ``distance``."""
-        return distance(*(observations[:, -2:].T * INNER))
+        return distance(*(observations[:, -2:].T * CELL))
 
     def miss(self, observation: np.ndarray) -> float:
         """Way to the opening that is left [m]."""
@@ -169,7 +172,7 @@ class AntMaze(PractisedTask):
         """Who runs east heads for a point of the centre line ahead, and its legs change parts when the ant has turned too far from it."""
 
         def guided(observations: np.ndarray) -> np.ndarray:
-            places = observations[:, -2:] * INNER
+            places = observations[:, -2:] * CELL
             ahead = np.array([centre_line(along + LOOK_AHEAD) for along in distance(*places.T)])
             seen, quarters = eastwards(observations[:, :-2], np.arctan2(*(ahead - places).T[::-1]))
             return given_back(act(np.column_stack([seen, np.zeros_like(places)])), quarters)
@@ -218,7 +221,7 @@ CARDS: dict[str, AntMaze] = {AntMaze.name: AntMaze()}
 _BEND = CELL / 2
 """Radius [m] of the centre line's bends."""
 _QUARTER = np.pi / 2 * _BEND
-_STRAIGHTS = (CELL + _BEND, CELL, _BEND + OUTER)
+_STRAIGHTS = (-START[0], CELL, OUT_EAST)
 """Lengths [m] of the centre line's straight parts, the last to the outer face of the opening."""
 LENGTH = sum(_STRAIGHTS) + 2 * _QUARTER
 """Of the centre line [m], from the first cell's centre to outside."""
@@ -226,25 +229,24 @@ LENGTH = sum(_STRAIGHTS) + 2 * _QUARTER
 
 def distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Arc length [m] of the centre line from the first cell's centre to the point of it that is nearest to (x, y) [m], arrays alike."""
-    first, second, third = _STRAIGHTS
-    eastwards, westwards = x + CELL, first + second + 2 * _QUARTER + (_BEND - x)
-    turn = first + _BEND * np.arctan2(x - _BEND, y - _BEND)
-    southwards = first + _QUARTER + (_BEND - y)
-    again = first + _QUARTER + second + _BEND * np.arctan2(-(y + _BEND), x - _BEND)
-    return np.where(
-        x < _BEND, np.where(y > 0, eastwards, westwards), np.where(y > _BEND, turn, np.where(y >= -_BEND, southwards, again))
-    )
+    first, second, _ = _STRAIGHTS
+    eastwards, westwards = first + x, first + second + 2 * _QUARTER - x
+    turn = first + _BEND * np.arctan2(x, y - _BEND)
+    southwards = first + _QUARTER + _BEND - y
+    again = first + _QUARTER + second + _BEND * np.arctan2(-(y + _BEND), x)
+    east = np.where(y > _BEND, turn, np.where(y >= -_BEND, southwards, again))
+    return np.where(x < 0, np.where(y > 0, eastwards, westwards), east)
 
 
 def centre_line(along: float) -> np.ndarray:
     """Point (2,) [m] of the centre line at an arc length [m] from the first cell's centre."""
     first, second, _ = _STRAIGHTS
     parts = (
-        (first, lambda s: (s - CELL, CELL)),
-        (_QUARTER, lambda s: (_BEND + _BEND * np.sin(s / _BEND), _BEND + _BEND * np.cos(s / _BEND))),
-        (second, lambda s: (CELL, _BEND - s)),
-        (_QUARTER, lambda s: (_BEND + _BEND * np.cos(s / _BEND), -_BEND - _BEND * np.sin(s / _BEND))),
-        (np.inf, lambda s: (_BEND - s, -CELL)),
+        (first, lambda s: (s - first, CELL)),
+        (_QUARTER, lambda s: (_BEND * np.sin(s / _BEND), _BEND + _BEND * np.cos(s / _BEND))),
+        (second, lambda s: (_BEND, _BEND - s)),
+        (_QUARTER, lambda s: (_BEND * np.cos(s / _BEND), -_BEND - _BEND * np.sin(s / _BEND))),
+        (np.inf, lambda s: (-s, -CELL)),
     )
     for length, at in parts:
         if along < length:
@@ -283,7 +285,7 @@ class AntInMaze:
     def observe(self) -> np.ndarray:
         """The observation record as a vector (29,)."""
         qpos = self._qpos
-        return np.concatenate([qpos[2:], self._qvel, qpos[:2] / INNER])
+        return np.concatenate([qpos[2:], self._qvel, qpos[:2] / CELL])
 
     @property
     def place(self) -> tuple[float, float]:
@@ -293,12 +295,12 @@ class AntInMaze:
     def at_goal(self) -> bool:
         """Whether the torso is beyond the outer face of the west wall, where that is open."""
         x, y = self.place
-        return x < -OUTER and abs(y + CELL) < CELL / 2
+        return x < -OUT_EAST and abs(y + CELL) < CELL / 2
 
     def lost(self) -> bool:
         """Whether the ant lies on its back, or got over a wall."""
         x, y = self.place
-        return self.on_its_back() or (max(abs(x), abs(y)) > OUTER and not self.at_goal())
+        return self.on_its_back() or ((abs(x) > OUT_EAST or abs(y) > OUT_NORTH) and not self.at_goal())
 
     def on_its_back(self) -> bool:
         """Whether the torso's upper side points below the horizon."""

@@ -1,4 +1,4 @@
-"""An ant looks the same after a quarter turn, so whoever can run east can run anywhere.
+"""An ant looks the same after a quarter turn, so whoever can run east, turned by an eighth at most, can run anywhere without turning.
 
 Holds for the source alone, whose four legs are alike and whose torso is round.
 
@@ -11,6 +11,10 @@ JOINTS, SPEEDS = slice(5, 13), slice(19, 27)
 """Where angles and speeds of hips and ankles stand in the observation, leg by leg; in an action leg 4 comes first."""
 ANKLE_SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
 """Sign with which an ankle's angle goes over to the next leg, onto legs 1 to 4: ant.xml's axes of neighbours turn into one another so."""
+
+
+WIDEST = 1.2
+"""Turn [rad] from the yaw in which it was taught to run beyond which an ant that was spun about takes another leg for its first."""
 
 
 def _next_leg(joints: np.ndarray) -> np.ndarray:
@@ -49,20 +53,25 @@ def _about_z(angle: np.ndarray) -> np.ndarray:
 
 
 def eastwards(observations: np.ndarray, headings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What an ant that runs in some direction would see if that were east, and the leg that is then nearest were the first.
+    """What an ant that runs in some direction would see if that were east, and another leg the first.
+
+    The leg that would be the first of an ant whose yaw is 0, so that an ant which turns to where it is taught to face keeps that yaw in
+    every corridor: it then has few ways to move, and whoever shall learn them by looking on has less to learn.
 
     Args:
         observations: (N, 27).
         headings: (N,) [rad] from east, counterclockwise.
 
     Returns:
-        (N, 27) with a yaw within 45 degrees, and by how many quarters (N,) of 0 to 3 each leg's part was given on.
+        (N, 27), and by how many quarters (N,) of 0 to 3 each leg's part was given on.
     """
     out = np.array(observations, float)
     turned = _product(_about_z(-headings), out[:, 1:5])
     w, x, y, z = turned.T
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    quarters = np.round(yaw / (np.pi / 2))
+    quarters = np.round(-headings / (np.pi / 2))
+    apart = np.angle(np.exp(1j * (yaw - quarters * np.pi / 2)))
+    quarters += np.where(np.abs(apart) > WIDEST, np.round(apart / (np.pi / 2)), 0.0)
     turned = _product(turned, _about_z(-quarters * np.pi / 2))
     out[:, 1:5] = np.where(turned[:, :1] < 0, -turned, turned)
     out[:, 13:16] = _rotated(out[:, 13:16], -headings)
