@@ -22,10 +22,10 @@ dist:
 	$(PYTHON) -m build
 
 # The bundles that come with the package, anew from a finished run: each is exported and proven before any is replaced.
-#     make bundles RUN=logs/my-run [TARGETS="jaco iiwa"]
+#     make bundles RUN=logs/my-run [TARGETS="jaco iiwa"] [STRESSED=folder of stress tests, one by each target's name]
 TARGETS ?= jaco kinova3 iiwa
 bundles:
 	@test -n "$(RUN)" || { echo "which run? make bundles RUN=logs/my-run" >&2; exit 2; }
 	folder=$$(mktemp -d) && trap 'rm -r "$$folder"' EXIT && for target in $(TARGETS); do \
-		$(PYTHON) -m toolkit.cli export "$(RUN)" --target $$target --out "$$folder/$$target" && \
+		$(PYTHON) -m toolkit.cli export "$(RUN)" --target $$target --out "$$folder/$$target" $(if $(STRESSED),--stressed "$(STRESSED)/$$target") && \
 		$(PYTHON) -m toolkit.cli verify "$$folder/$$target.zip" || exit 1; done && cp "$$folder"/*.zip toolkit/bundle/shipped/
