@@ -7,6 +7,8 @@ import numpy as np
 
 from toolkit.morphology.space import EvolutionSpace
 
+ON_THE_WAY = 1e-3
+"""Detour, in L1, of a robot that is still on its edge."""
 WIDTH, ROW = 1000.0, 190.0
 """Drawing units of the tree: its longest way, and the distance of its rows."""
 
@@ -91,6 +93,28 @@ class Plan:
         """The edge that a path to these targets follows; None if the plan has no such edge."""
         return next((edge for edge in self.edges if self.below[edge["to"]] == frozenset(targets)), None)
 
+    def way_of(self, targets: Sequence[str], alpha: np.ndarray) -> dict[str, Any] | None:
+        """What a robot alpha (D,) on its way to these targets walks along: its edge, or a way of its own from another robot of the plan.
+
+        A tree that asks leaves from where it likes. Whoever walks from one robot to another, bent or not, makes no detour in L1.
+        """
+        edge = self.edge_of(targets)
+        if edge is None:
+            return None
+        end = edge["to"]
+        near = min((name for name in self.nodes if name != end), key=lambda name: (self._detour(name, end, alpha), name != edge["from"]))
+        if self._detour(edge["from"], end, alpha) <= self._detour(near, end, alpha) + ON_THE_WAY:
+            return edge
+        return {"from": near, "to": end, "length": self._between(near, end)}
+
+    def _between(self, start: str, end: str) -> float:
+        return float(np.abs(np.array(self.nodes[start]["alpha"]) - self.nodes[end]["alpha"]).sum())
+
+    def _detour(self, start: str, end: str, alpha: np.ndarray) -> float:
+        """By how much longer, in L1, the way from a robot to another is by way of alpha (D,)."""
+        first, last = (np.abs(alpha - np.array(self.nodes[name]["alpha"])).sum() for name in (start, end))
+        return float(first + last) - self._between(start, end)
+
     def fraction(self, edge: dict[str, Any], alpha: np.ndarray) -> float:
         """How far along an edge a robot alpha (D,) is, 0 to 1."""
         start, end = (np.array(self.nodes[edge[key]]["alpha"]) for key in ("from", "to"))
@@ -98,8 +122,10 @@ class Plan:
         return float(np.clip(1.0 - np.linalg.norm(end - alpha) / span, 0.0, 1.0)) if span > 0 else 1.0
 
     def stretch(self, edge: dict[str, Any], begin: float, end: float) -> np.ndarray:
-        """The drawn line (k, 2) of part of an edge: across to its row first, then along it."""
+        """The drawn line (k, 2) of part of an edge: across to its row first, then along it; of another way straight on."""
         (x0, y0), (x1, y1) = self.places[edge["from"]], self.places[edge["to"]]
+        if edge not in self.edges:
+            return np.array([(x0 + share * (x1 - x0), y0 + share * (y1 - y0)) for share in (begin, end)])
         along = [(x0 + begin * (x1 - x0), y1), (x0 + end * (x1 - x0), y1)]
         return np.array(([(x0, y0)] if begin <= 0 and y0 != y1 else []) + along)
 

@@ -63,10 +63,11 @@ class EvolutionPage:
 
     def visit(self, film: np.ndarray, iteration: int, alphas: np.ndarray, targets: Sequence[str]) -> None:
         """The robot is at alphas (T, D) at times film (T,) [s], on its way to ``targets``."""
-        edge = self.plan.edge_of(targets)
         count = len(film)
-        if edge is not None:
-            spots = np.array([self.plan.stretch(edge, 0.0, self.plan.fraction(edge, alpha))[-1] for alpha in alphas])
+        ways = [self.plan.way_of(targets, alpha) for alpha in alphas]
+        if ways[0] is not None:
+            spots = np.array([self.plan.stretch(way, 0.0, self.plan.fraction(way, alpha))[-1]
+                              for way, alpha in zip(ways, alphas, strict=True)])
             self.stream.rows("evolution/tree/here", film, iteration, rr.Points2D.columns(positions=spots))
         spots = self.plan.project(alphas)
         self.stream.rows("evolution/pca2/here", film, iteration, rr.Points2D.columns(positions=spots[:, :2] * (1, -1)))
@@ -83,13 +84,13 @@ class EvolutionPage:
         self, film: float, iteration: int, start: np.ndarray, end: np.ndarray, targets: Sequence[str], success: float | None
     ) -> None:
         """A phase from start (D,) to end (D,) is done; ``success`` as last measured, 0 to 1."""
-        edge = self.plan.edge_of(targets)
+        edge = self.plan.way_of(targets, start)
         if edge is not None:
             self._walked.append((edge, self.plan.fraction(edge, start), self.plan.fraction(edge, end), success))
             lines = [self.plan.stretch(e, a, b) for e, a, b, _ in self._walked]
             colours = [success_colour(value) for *_, value in self._walked]
-            last = {id(e): index for index, (e, *_) in enumerate(self._walked)}
-            labels = [_percent(value) if last[id(e)] == index else "" for index, (e, _, _, value) in enumerate(self._walked)]
+            last = {(e["from"], e["to"]): index for index, (e, *_) in enumerate(self._walked)}
+            labels = [_percent(value) if last[e["from"], e["to"]] == index else "" for index, (e, _, _, value) in enumerate(self._walked)]
             self.stream.row("evolution/tree/done", film, iteration, rr.LineStrips2D(lines, colors=colours, radii=rr.Radius.ui_points(4.0)))
             ends = [(line[-2] + line[-1]) / 2 - (0.0, 0.3 * ROW) for line in lines]
             keep = [k for k, label in enumerate(labels) if label]

@@ -269,7 +269,7 @@ class Story:
         return self._plants[name]
 
     def _caption(self, phase: Phase, take: Take, verdict: str) -> str:
-        edge = self.plan.edge_of(phase.targets)
+        edge = self.plan.way_of(phase.targets, take.alpha)
         where = markdown(", ".join(phase.targets))
         if edge:
             where = f"{self.plan.fraction(edge, take.alpha):.0%} of {markdown(edge['from'])} to {markdown(edge['to'])}"

@@ -61,7 +61,8 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
         axes.annotate(f"{edge['length']:.1f}", (line[-2] + line[-1]) / 2 + (0, -8), ha="center", va="bottom", fontsize=8, color="#444444",
                       bbox=PAPER, zorder=4)
     for start, end, share, success in walked:
-        edge = next(edge for edge in plan.edges if (edge["from"], edge["to"]) == (start, end))
+        own = {"from": start, "to": end}  # of a path that left from elsewhere than the plan's edge
+        edge = next((edge for edge in plan.edges if (edge["from"], edge["to"]) == (start, end)), own)
         line = plan.stretch(edge, 0.0, share)
         grey = 0.75 - 0.75 * (success if success is not None else 0.3)
         axes.plot(*line.T, color=str(grey), linewidth=4.5, zorder=2, solid_capstyle="butt")

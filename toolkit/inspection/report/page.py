@@ -111,8 +111,9 @@ def walked_edges(plan: Plan, records: Sequence[dict[str, Any]], phases: dict[str
             moved.add(path)
     out = []
     for path, names in targets.items():
-        edge = plan.edge_of(names)
-        ends = [phase.end for phase in phases.values() if phase.path == path and phase.end is not None]
+        own = sorted((phase for phase in phases.values() if phase.path == path), key=lambda phase: phase.number)
+        edge = plan.way_of(own[0].targets, own[0].start) if own else plan.edge_of(names)
+        ends = [phase.end for phase in own if phase.end is not None]
         if edge is not None and path in moved:
             share = max((plan.fraction(edge, end) for end in ends), default=1.0)
             out.append((edge["from"], edge["to"], share, success.get(path)))
