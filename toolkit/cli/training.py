@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from robots.model_robot import ModelRobot
     from robots.robot import Robot
     from tasks.pick import PickTask
-    from tasks.task import ModelTask
+    from tasks.task import ModelTask, PractisedTask
     from toolkit.expert.training import ExpertConfig
     from toolkit.inspection.recording.story import Story
     from toolkit.learning.policy import GaussianPolicy, ValueFunction
@@ -27,7 +27,7 @@ def expert(
     demos: Path | None = None,
     frame_rate: float = 25.0,
     out: Path | None = None,
-    updates: int = 6,
+    updates: int | None = None,
     demonstrations: int = 160,
     seed: int = 0,
     episodes: int = 200,
@@ -39,8 +39,9 @@ def expert(
     """Train the source expert: demonstrations, behaviour cloning, natural policy gradient under the sparse reward.
 
     Demonstrations are scripted, or with --demos recordings of hands in DexYCB's format, retargeted to the robot's hand; for door,
-    hammer and relocate --demos is a file of recorded steps. What was recorded also pulls the policy gradient (DAPG). Writes
-    logs/<run>/: config, metrics, checkpoints, report. Ctrl-C leaves a run that --resume continues to the same result.
+    hammer and relocate --demos is a file of recorded steps. What was recorded also pulls the policy gradient (DAPG). The ant's expert
+    learns from nothing: to run, then to run through the maze (about an hour on two cores). Writes logs/<run>/: config, metrics,
+    checkpoints, report. Ctrl-C leaves a run that --resume continues to the same result.
 
     Args:
         source: the robot to train on.
@@ -49,7 +50,7 @@ def expert(
             in docs/demonstrations.md or hand_dapg's.
         frame_rate: of the recordings [Hz].
         out: folder for the policy; default: the package's own experts.
-        updates: natural-gradient updates after cloning.
+        updates: natural-gradient updates after cloning; default: 6, and for an expert that learns from nothing what was found to do.
         demonstrations: demonstrated episodes; failed ones are dropped and counted. Of a file, its first so many.
         seed: of everything random.
         episodes: of the final evaluation on the source robot itself, on unseen seeds.
@@ -58,24 +59,28 @@ def expert(
         resume: continue the run in that folder.
         json: print one JSON object at the end.
     """
-    if episodes < 1 or demonstrations < 1 or updates < 0 or seed < 0:
+    if episodes < 1 or demonstrations < 1 or (updates is not None and updates < 0) or seed < 0:
         raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
                            "least one episode and one demonstration, updates and seed from 0 on")
     robot, what = find_robot(source), find_task(task)
-    from tasks.task import ModelTask
+    from tasks.task import ModelTask, PractisedTask
     from toolkit.evaluation.success import evaluate_compiled, evaluate_native
+    from toolkit.expert.practice import PracticeConfig
     from toolkit.expert.shelf import POLICY_FILE, RECORDED, SHIPPED, narrow_task, save_expert
     from toolkit.expert.training import ExpertConfig
     from toolkit.morphology.lab import check_players
     from toolkit.runs.run import Run
 
     check_players([robot], what)
+    practised = isinstance(what, PractisedTask)
+    if updates is None:
+        updates = PracticeConfig.updates if practised else ExpertConfig.updates
     config = ExpertConfig(demonstrations=demonstrations, updates=updates, seed=seed)
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
              "updates": updates, "demonstrations": demonstrations}
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
     # Before there is a run folder: none for demonstrations that are not there.
-    prepare = _steps_teach if isinstance(what, ModelTask) else _hands_teach
+    prepare = _practice_teaches if practised else _steps_teach if isinstance(what, ModelTask) else _hands_teach
     with Progress("expert", quiet=json) as progress:
         train = prepare(robot, what, None if demos is None else (demos, frame_rate, resume), config, progress)
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
@@ -154,6 +159,18 @@ def _steps_teach(robot: "ModelRobot", task: "ModelTask", shown: Shown | None, co
         return found
 
     return train
+
+
+def _practice_teaches(
+    robot: "ModelRobot", task: "PractisedTask", shown: Shown | None, config: "ExpertConfig", progress: Progress
+) -> Training:
+    """The expert of a task that has an easier one: it learns from nothing, on the unmodified robot."""
+    from toolkit.expert.practice import PracticeConfig, practise
+
+    if shown is not None:
+        raise ToolkitError(f"the expert of task {task.name} learns from nothing; leave out --demos {shown[0]}")
+    how = PracticeConfig(updates=config.updates, seed=config.seed)
+    return lambda run: practise(robot, task, how, progress.expert(how), run)
 
 
 def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Sequence[str]) -> list[str]:
