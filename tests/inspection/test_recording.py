@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
+from toolkit.inspection.casting import AT_THE_TABLE, casting_of
 from toolkit.inspection.drawn_tree import Plan, matrix
 from toolkit.inspection.recording import excerpt, learning, rollouts, shows, viewer
-from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.scene import Scene
 from toolkit.inspection.recording.story import SHARE, Story
 from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report.figures import tree_figure
@@ -146,12 +147,10 @@ def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, kn
 
 
 def test_the_merged_robots_bones_stand_where_mujoco_says(tmp_path, small):
-    from toolkit.inspection.appearance import Wardrobe
-
-    wardrobe = Wardrobe(small.space.matching)
+    casting = casting_of(small.merged)
     alphas = small.space.betas[0] + np.linspace(0, 1, 4)[:, None] * (small.space.betas[1] - small.space.betas[0])
     stream = Stream(tmp_path / "a.rrd")
-    Scene(stream, small.merged, wardrobe).show(np.arange(4.0), 0, [Casting(small.merged, wardrobe).standing(alphas)])
+    Scene(stream, casting).show(np.arange(4.0), 0, [casting.standing(alphas)])
     stream.close()
     bones = sorted((row for row in entities(tmp_path / "a.rrd")["/scene/robot/bones"] if "film" in row), key=seconds)
     model, data = small.merged.new()
@@ -416,15 +415,15 @@ def test_a_morph_follows_the_tree(tmp_path, small):
 
 
 def test_two_runs_stand_side_by_side(tmp_path, known):
-    films = shows.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
+    films, layout = shows.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
     np.testing.assert_array_equal(films[0].qpos, films[1].qpos)
     told = entities(tmp_path / "c.rrd")
     (entity,) = [path for path in told if path.endswith("/j2s7s300_link_7")]
     places = np.array(next(row for row in told[entity] if "film" in row)["InstancePoses3D:translations"])
-    np.testing.assert_allclose(places[1] - places[0], [0, shows.APART, 0], atol=1e-5)
+    np.testing.assert_allclose(places[1] - places[0], [0, AT_THE_TABLE.apart, 0], atol=1e-5)
     assert sum("Mesh3D:vertex_positions" in row for row in told[entity]) == 1, "two robots, one mesh"
     assert {"/side-1/distance", "/side-2/distance"} <= set(told)
-    excerpt.excerpt(tmp_path / "c.rrd", "compare", 1.0, shows.compare_layout(["one", "two"], True), tmp_path / "e.rrd")
+    excerpt.excerpt(tmp_path / "c.rrd", "compare", 1.0, layout(True), tmp_path / "e.rrd")
     assert {"/side-1/caption", "/side-2/caption", "/scene/goal"} <= set(entities(tmp_path / "e.rrd"))
     with pytest.raises(ToolkitError, match="has no policy for 'iiwa' yet"):
         shows.compare([("one", known, "jaco"), ("two", known, "iiwa")], tmp_path / "d.rrd", seed=11)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import ROUND, Wardrobe, geom_triangles, simplified
+from toolkit.inspection.appearance import ROUND, geom_triangles, simplified
+from toolkit.inspection.casting import casting_of
 from toolkit.inspection.furniture import furniture, opacity
 from toolkit.inspection.report import page, stills
 from toolkit.runs.run import Run
@@ -125,14 +126,14 @@ def test_without_graphics_the_page_says_so(finished, small, tmp_path, monkeypatc
     def refuse(*_):
         raise ToolkitError("no off-screen rendering here")
 
-    monkeypatch.setattr(page, "Studio", refuse)
+    monkeypatch.setattr(page, "studio_of", refuse)
     told = page.write_report(finished, small.merged, small.tree("l1", "steiner").to_json(), tmp_path / "page").read_text(encoding="utf-8")
     assert "no off-screen rendering here" in told and "morph-1" not in told
 
 
 def test_stills_show_one_robot_turning_into_another(small):
     try:
-        studio = stills.Studio(small.merged, Wardrobe(small.space.matching), (96, 96))
+        studio = stills.Studio(casting_of(small.merged), (96, 96))
     except ToolkitError as error:
         pytest.skip(str(error))
     source, target = small.space.betas
@@ -167,10 +168,10 @@ def test_one_robot_is_always_solid():
 
 def test_the_goal_and_the_object_are_drawn_where_they_are(small):
     try:
-        studio = stills.Studio(small.merged, Wardrobe(small.space.matching), (96, 96))
+        studio = stills.Studio(casting_of(small.merged), (96, 96))
     except ToolkitError as error:
         pytest.skip(str(error))
-    nobody = (np.zeros((len(studio.wardrobe.worn), 3)), np.tile((1.0, 0, 0, 0), (len(studio.wardrobe.worn), 1)))
+    nobody = (np.zeros((len(studio.worn), 3)), np.tile((1.0, 0, 0, 0), (len(studio.worn), 1)))
     draw = lambda **more: studio.draw(*nobody, np.zeros(2), **more).astype(int)  # noqa: E731
     empty, high = draw(), draw(carried=np.array([-0.1, 0.0, 1.1, 1, 0, 0, 0]))
     goal = draw(goal=np.array([-0.1, 0.0, 1.1]))

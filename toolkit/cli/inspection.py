@@ -142,10 +142,10 @@ def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: 
 
     sides = _sides(paths, targets)
     file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
-    films = shows.compare(sides, file, seed)
+    films, layout = shows.compare(sides, file, seed)
     labels = [label for label, _, _ in sides]
     print("; ".join(f"{label}: {film.verdict()}" for label, film in zip(labels, films, strict=True)))
-    return file, lambda excerpt: shows.compare_layout(labels, excerpt)
+    return file, layout
 
 
 def _freeze(file: Path, page: str, at: float | None, layout: "Layout", still: Path | None, size: str, out: Path | None) -> None:

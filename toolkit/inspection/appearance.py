@@ -1,4 +1,4 @@
-"""What robots look like: the visual meshes of the unmodified robots, link by link, hung on the merged robot's links.
+"""What robots look like: the visual meshes of the unmodified robots, link by link, hung on the merged robot's links; any geom as a mesh.
 
 Physics never sees them. A link's meshes and primitives become one triangle mesh, simplified to a grid; two links that look
 alike (arms that robots share, left and right jaws) share one mesh.
@@ -80,18 +80,6 @@ class Wardrobe:
                     self.meshes.append(mesh)
                 self.worn.append(_worn(index, system, matching, known[mesh.digest], body))
 
-    def weights(self, alpha: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        """How much of each robot shows at ``alpha`` (D,): (n_robots,) in [0, 1], 1 at the robot itself.
-
-        Args:
-            alpha: the robot in between.
-            betas: (n_robots, D), the source first.
-        """
-        spans = np.abs(betas[1:] - betas[0]).sum(axis=1)
-        shares = 1.0 - np.abs(betas[1:] - alpha).sum(axis=1) / spans
-        shares = np.clip(shares, 0.0, 1.0)
-        return np.array([1.0 - shares.max(), *shares])
-
     def poses(self, data: mujoco.MjData, links: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """World positions (n_worn, 3) [m] and quaternions (n_worn, 4) of everything worn by a merged robot.
 
@@ -106,6 +94,19 @@ class Wardrobe:
             positions[k] += data.xpos[body]
             mujoco.mju_mulQuat(quaternions[k], data.xquat[body], item.quaternion)
         return positions, quaternions
+
+
+def weights(alpha: np.ndarray, betas: np.ndarray) -> np.ndarray:
+    """How much of each robot shows at ``alpha`` (D,): (n_robots,) in [0, 1], 1 at the robot itself.
+
+    Args:
+        alpha: the robot in between.
+        betas: (n_robots, D), the source first.
+    """
+    spans = np.abs(betas[1:] - betas[0]).sum(axis=1)
+    shares = 1.0 - np.abs(betas[1:] - alpha).sum(axis=1) / spans
+    shares = np.clip(shares, 0.0, 1.0)
+    return np.array([1.0 - shares.max(), *shares])
 
 
 def _worn(index: int, system: System, matching: Matching, mesh: int, body: int) -> Worn:
@@ -160,6 +161,13 @@ def body_mesh(model: mujoco.MjModel, body: int, largest: float = np.inf) -> Mesh
     return _gathered(model, data, body, chosen) if chosen else None
 
 
+def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
+    """The look of one geom of any solid kind, in its own frame."""
+    points, triangles = simplified(*geom_triangles(model, geom))
+    name = model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}-{geom}"
+    return _painted(name, points, triangles, np.tile(geom_colour(model, geom), (len(points), 1)))
+
+
 def _gathered(model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: list[int]) -> Mesh:
     """One mesh, in the body's frame, of several geoms."""
     vertices, colours, faces, count = [], [], [], 0
@@ -172,11 +180,14 @@ def _gathered(model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: list
         colours.append(np.tile(geom_colour(model, geom), (len(points), 1)))
         faces.append(triangles + count)
         count += len(points)
-    points, triangles = np.concatenate(vertices).astype(np.float32), np.concatenate(faces).astype(np.uint32)
-    paint = np.concatenate(colours)
-    digest = hashlib.sha256(np.round(points, 5).tobytes() + triangles.tobytes() + paint.tobytes()).digest()
     name = model.body(body).name.removeprefix("robot0_").removeprefix("gripper0_right_") if body else "base"
-    return Mesh(name, points, vertex_normals(points, triangles), paint, triangles, digest)
+    return _painted(name, np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours))
+
+
+def _painted(name: str, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> Mesh:
+    points, triangles = vertices.astype(np.float32), faces.astype(np.uint32)
+    digest = hashlib.sha256(np.round(points, 5).tobytes() + triangles.tobytes() + colours.tobytes()).digest()
+    return Mesh(name, points, vertex_normals(points, triangles), colours, triangles, digest)
 
 
 def simplified(vertices: np.ndarray, faces: np.ndarray, grid: float = GRID) -> tuple[np.ndarray, np.ndarray]:

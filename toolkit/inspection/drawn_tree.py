@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.morphology.space import EvolutionSpace
+from toolkit.morphology.parameters import ParameterSpace
 
 ON_THE_WAY = 1e-3
 """Detour, in L1, of a robot that is still on its edge."""
@@ -130,7 +130,7 @@ class Plan:
         return np.array(([(x0, y0)] if begin <= 0 and y0 != y1 else []) + along)
 
 
-def matrix(space: EvolutionSpace) -> tuple[np.ndarray, list[str], dict[str, float]]:
+def matrix(space: ParameterSpace) -> tuple[np.ndarray, list[str], dict[str, float]]:
     """alpha as a matrix: column and row (D, 2) of each dimension; names of the rows; heads of the columns and their middles."""
     first = {}
     for parameter in space.parameters:

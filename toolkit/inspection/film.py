@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from toolkit.simulation.laws import Drivable
 from toolkit.simulation.plant import CLOSING, Plant
 from toolkit.simulation.rollout import Actor, play
 
@@ -19,22 +20,49 @@ class Film:
     """T steps, T + 1 frames.
 
     Attributes:
-        model: that was played.  object_body: id of its object.
+        model: that was played.
+        body_pos, site_pos: (nbody, 3), (nsite, 3) [m] of the model in this episode: a scene may place what has no joint.
         qpos: (T + 1, nq) [m, rad].  actions: (T, n_act).  rewards: (T,).
+        interval: [s] between frames.  horizon: steps after which an episode ends.
+        success, diverged: how it ended.
+    """
+
+    model: mujoco.MjModel
+    body_pos: np.ndarray
+    site_pos: np.ndarray
+    qpos: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    interval: float
+    horizon: int
+    success: bool
+    diverged: bool
+
+    def verdict(self) -> str:
+        """How it ended, in words."""
+        seconds = f"{len(self.rewards) * self.interval:.1f} s"
+        if self.diverged:
+            return "the simulation diverged"
+        if self.success:
+            return f"success after {seconds}"
+        early = len(self.rewards) < self.horizon
+        return f"failure: success became impossible after {seconds}" if early else f"failure: not done in {seconds}"
+
+
+@dataclass(frozen=True, eq=False)
+class PickFilm(Film):
+    """A film of an arm with a gripper that picks an object.
+
+    Attributes:
+        object_body: id of its object.
         grasp: (T + 1, 3) [m] grasp frame.  target: (T, 3) [m] where OSC pulled it during each step.
         carried: (T + 1, 3) [m] object.  goal: (3,) [m].
         closing: (T,) progress of the closing command, -1 to +1.
         points, forces: per step (k, 3) [m] and (k, 3) [N]: contacts of the object and the forces on it, world.
         by_robot: per step (k,) whether the robot touches (else the table).
-        interval: [s] between frames.
-        success, diverged: how it ended.
     """
 
-    model: mujoco.MjModel
     object_body: int
-    qpos: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
     grasp: np.ndarray
     target: np.ndarray
     carried: np.ndarray
@@ -43,9 +71,6 @@ class Film:
     points: list[np.ndarray]
     forces: list[np.ndarray]
     by_robot: list[np.ndarray]
-    interval: float
-    success: bool
-    diverged: bool
 
     @property
     def distance(self) -> np.ndarray:
@@ -59,10 +84,8 @@ class Film:
 
     def verdict(self) -> str:
         """How it ended, in words: the first of what may go wrong that did."""
-        if self.diverged:
-            return "the simulation diverged"
-        if self.success:
-            return f"success after {len(self.rewards) * self.interval:.1f} s"
+        if self.diverged or self.success:
+            return super().verdict()
         held = self.grip > 0
         lifted = self.carried[:, 2] - self.carried[0, 2]
         if not held.any():
@@ -78,53 +101,80 @@ class Film:
 class _Watched:
     """A plant that notes what happens between its steps."""
 
-    def __init__(self, plant: Plant) -> None:
+    frames: tuple[str, ...] = ("qpos",)
+    """What is noted at the beginning and after every step."""
+    steps: tuple[str, ...] = ()
+    """What is noted of every step."""
+
+    def __init__(self, plant: Drivable) -> None:
         self._plant = plant
-        self.notes: dict[str, list] = {key: [] for key in
-                                       ("qpos", "grasp", "carried", "target", "closing", "points", "forces", "by_robot")}
+        self.notes: dict[str, list] = {key: [] for key in (*self.frames, *self.steps)}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._plant, name)
 
     def begin(self, seed: int) -> np.ndarray:
         observation = self._plant.begin(seed)
-        self._note_state()
+        self.note_state()
         return observation
+
+    def step(self, action: np.ndarray) -> np.ndarray:
+        observation = self._plant.step(action)
+        self.note_state()
+        return observation
+
+    def note_state(self) -> None:
+        """Note what is so now."""
+        self.notes["qpos"].append(np.array(self._plant.data.qpos))
+
+
+class _WatchedPick(_Watched):
+    """An arm that picks an object."""
+
+    frames = ("qpos", "grasp", "carried")
+    steps = ("target", "closing", "points", "forces", "by_robot")
 
     def step(self, action: np.ndarray) -> np.ndarray:
         plant = self._plant
         self.notes["target"].append(plant.aim(action))
-        observation = plant.step(action)
+        observation = super().step(action)
         self.notes["closing"].append(plant.law.progress(plant.command))
         for key, value in zip(("points", "forces", "by_robot"), contacts_of(plant.model, plant.data, plant.object_body), strict=True):
             self.notes[key].append(value)
-        self._note_state()
         return observation
 
-    def _note_state(self) -> None:
-        self.notes["qpos"].append(np.array(self._plant.data.qpos))
+    def note_state(self) -> None:
+        """Note what is so now."""
+        super().note_state()
         self.notes["grasp"].append(self._plant.grasp_position)
         self.notes["carried"].append(np.array(self._plant.object_position))
 
 
-def shoot(plant: Plant, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
-    """Play an episode again.
+def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
+    """Play an episode again; of an arm at its table a PickFilm.
 
     Args:
         plant, actor, seed, alpha: as the episode had them.
     """
-    watched = _Watched(plant)
+    pick = isinstance(plant, Plant)
+    watched = _WatchedPick(plant) if pick else _Watched(plant)
     episode = play(watched, actor, seed, alpha)
-    notes, steps = watched.notes, episode.steps
+    notes = watched.notes
     sound = int(np.isfinite(np.array(notes["qpos"])).all(axis=1).cumprod().sum())  # frames before the first that is not finite
-    frames = max(1, min(sound, steps + 1))
+    frames = max(1, min(sound, episode.steps + 1))
     array: Callable[[str, int], np.ndarray] = lambda key, count: np.array(notes[key][:count])  # noqa: E731
-    return Film(
-        model=plant.model, object_body=plant.object_body, qpos=array("qpos", frames), actions=episode.actions[: frames - 1],
-        rewards=episode.rewards[: frames - 1], grasp=array("grasp", frames), target=array("target", frames - 1).reshape(-1, 3),
+    told = {
+        "model": plant.model, "body_pos": np.array(plant.model.body_pos), "site_pos": np.array(plant.model.site_pos),
+        "qpos": array("qpos", frames), "actions": episode.actions[: frames - 1], "rewards": episode.rewards[: frames - 1],
+        "interval": 1.0 / plant.task.control_frequency, "horizon": plant.task.horizon, "success": episode.success,
+        "diverged": episode.diverged,
+    }
+    if not pick:
+        return Film(**told)
+    return PickFilm(
+        **told, object_body=plant.object_body, grasp=array("grasp", frames), target=array("target", frames - 1).reshape(-1, 3),
         carried=array("carried", frames), goal=np.array(plant.goal), closing=array("closing", frames - 1),
         points=notes["points"][: frames - 1], forces=notes["forces"][: frames - 1], by_robot=notes["by_robot"][: frames - 1],
-        interval=1.0 / plant.task.control_frequency, success=episode.success, diverged=episode.diverged,
     )
 
 

@@ -17,7 +17,7 @@ from rerun.chunk import Chunk
 
 from toolkit.inspection.drawn_tree import ROW, WIDTH, Plan, matrix
 from toolkit.inspection.recording.stream import Stream
-from toolkit.morphology.space import EvolutionSpace
+from toolkit.morphology.parameters import ParameterSpace
 
 KIND_COLOURS = {"source": (86, 180, 233), "meta": (170, 170, 170), "target": (204, 121, 167)}
 """Okabe and Ito (2008): apart for colour-blind eyes too."""
@@ -51,7 +51,7 @@ class EvolutionPage:
         space: names of the dimensions; None for a tree of anybody's points.
     """
 
-    def __init__(self, stream: Stream, plan: Plan, space: EvolutionSpace | None) -> None:
+    def __init__(self, stream: Stream, plan: Plan, space: ParameterSpace | None) -> None:
         self.stream, self.plan, self.space = stream, plan, space
         self._walked: list[tuple[dict[str, Any] | None, float, float, float | None]] = []  # edge, from, to, success
         self._ways: list[tuple[np.ndarray, float | None]] = []  # projected ends, success
@@ -190,7 +190,7 @@ Extent = tuple[int, float, float, float, float]
 """How many dimensions a heat map of alpha shows, and what it spans with its names: left, right, top, bottom."""
 
 
-def alpha_extent(space: EvolutionSpace) -> Extent:
+def alpha_extent(space: ParameterSpace) -> Extent:
     """The extent of a space's heat map."""
     cells, rows, columns = matrix(space)
     return _extent(cells * (1.0, LINE), rows, head_places(columns))
@@ -258,7 +258,7 @@ def heat(values: np.ndarray) -> np.ndarray:
     return np.round(stops[index] + (stops[index + 1] - stops[index]) * share).astype(np.uint8)
 
 
-def dimension_names(space: EvolutionSpace) -> list[str]:
+def dimension_names(space: ParameterSpace) -> list[str]:
     """The name of every dimension: its first parameter, and how many move with it."""
     members: dict[int, list[str]] = {}
     for parameter in space.parameters:

@@ -10,13 +10,15 @@ from toolkit.inspection.recording.stream import FILM, ITERATION
 Layout = Callable[[bool], rrb.Blueprint]
 """Makes the layout of a recording, or of an excerpt of it."""
 PAGES = ("evolution", "morph", "rollouts", "learning", "summary")
+SHARES = {"distance": 2, "position": 3, "joints": 4, "action": 3, "grip": 2, "reward": 2}
+"""Of the height that an episode's curves have, in their order."""
 BACKGROUND = (236, 239, 244)
-EYE = (np.array([0.52, -0.92, 1.45]), np.array([-0.22, 0.0, 1.08]))
-"""Where the robot is seen from, and the point looked at [m]."""
+Eye = tuple[np.ndarray, np.ndarray]
+"""Where something is seen from (3,), and the point looked at (3,) [m]."""
 
 
-def robot_view(name: str, eye: tuple[np.ndarray, np.ndarray] = EYE) -> rrb.Spatial3DView:
-    """The scene from somewhere, looking at some point (3,) [m]; by default from beside the robot."""
+def robot_view(name: str, eye: Eye) -> rrb.Spatial3DView:
+    """The scene from somewhere, looking at some point."""
     eye = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=(0.0, 0.0, 1.0))
     shown = ["+ $origin/**", "- $origin/robot/bones"]  # they run through the joints; who asks for them in the viewer sees them
     return rrb.Spatial3DView(origin="scene", contents=shown, name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
@@ -57,12 +59,12 @@ def _page(name: str, views: dict[str, rrb.View]) -> rrb.Container | None:
     if name == "evolution":
         paths = rrb.Vertical(views["tree"], rrb.Horizontal(*have("pca2", "pca3")))
         return rrb.Horizontal(paths, *have("alpha"), name="Evolution")
-    if name == "morph" and "scene" in views:
-        robot = robot_view("The robot on its way; wireframes are what touches in the physics")
-        return rrb.Horizontal(robot, rrb.Vertical(*have("tree", "changes"), row_shares=[2, 3]), column_shares=[3, 2], name="Morph")
+    if name == "morph" and "robot" in views:
+        return rrb.Horizontal(views["robot"], rrb.Vertical(*have("tree", "changes"), row_shares=[2, 3]), column_shares=[3, 2], name="Morph")
     if name == "rollouts" and "scene" in views:
         left = rrb.Vertical(views["scene"], *have("caption"), row_shares=[4, 1])
-        right = rrb.Vertical(*have("distance", "position", "action", "grip", "reward"), row_shares=[2, 3, 3, 2, 2])
+        curves = {key: share for key, share in SHARES.items() if key in views}
+        right = rrb.Vertical(*have(*curves), row_shares=list(curves.values()))
         return rrb.Horizontal(left, right, column_shares=[5, 4], name="Rollouts")
     if name == "learning":
         keys = have("success", "train_success", "mean_return", "kl", "sim_epochs", "train_iterations", "diverged", "wall")

@@ -3,15 +3,22 @@
     signals/position     [m] of the grasp frame, x y z, wanted by OSC and reached
     signals/action       the six OSC deltas and the closing action; signals/closing: the closing progress
     signals/distance     [m] from object to goal; signals/grip: [N] of the robot on the object; signals/reward
+    signals/joints       of a family: [rad, m] of every hinge and slide; signals/action: of every actuator; signals/reward
     signals/caption      which episode it is, and how it ended
 """
 
+from collections.abc import Iterable
+
+import mujoco
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import Chunk
 
-from toolkit.inspection.film import Film, closing_action
+from tasks.pick import PickTask
+from toolkit.inspection.film import Film, PickFilm, closing_action
 from toolkit.inspection.recording.stream import Stream
+from toolkit.morphology.lab import Merged
 
 BLUE, ORANGE, GREEN, VERMILION, GREY, SKY, PINK = (
     (0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (120, 120, 120), (86, 180, 233), (204, 121, 167),
@@ -31,6 +38,10 @@ TITLES = {
     "reward": "Reward and closing progress",
 }
 """Of two lines there is a legend; more do not fit into it, so that the title tells them apart."""
+MODEL_TITLES = {
+    "joints": "Joints [rad or m] (the pointer tells which)", "action": "Action: share of each actuator's range", "reward": "Reward",
+}
+"""Of robots of a family."""
 SIGNALS = "signals"
 WINDOW = 5.5
 """[s] around the time cursor that the curves show."""
@@ -41,46 +52,72 @@ class RolloutsPage:
 
     Args:
         stream: to draw into.
-        tolerance: [m] that counts as at the goal.
+        merged: whose episodes are shown.
         root: entity that holds everything; one per robot that is compared.
+
+    Attributes:
+        pick: whether it is a pick.  tolerance: [m] that counts as at its goal, else None.
     """
 
-    def __init__(self, stream: Stream, tolerance: float, root: str = SIGNALS) -> None:
-        self.stream, self.tolerance, self.root = stream, tolerance, root
-        for key, lines in LINES.items():
-            names, colours = zip(*lines, strict=True)
-            widths = [1.0 if "wanted" in name or "tolerance" in name else 2.0 for name in names]
-            stream.static(f"{self.root}/{key}", rr.SeriesLines(names=names, colors=colours, widths=widths))
+    def __init__(self, stream: Stream, merged: Merged, root: str = SIGNALS) -> None:
+        self.stream, self.root = stream, root
+        self.pick, self._joints = isinstance(merged.task, PickTask), np.zeros(0, int)
+        self.tolerance: float | None = None
+        if self.pick:
+            self.tolerance = merged.task.goal_tolerance
+            for key, lines in LINES.items():
+                names, colours = zip(*lines, strict=True)
+                widths = [1.0 if "wanted" in name or "tolerance" in name else 2.0 for name in names]
+                stream.static(f"{self.root}/{key}", rr.SeriesLines(names=names, colors=colours, widths=widths))
+            return
+        model = merged.template
+        scalar = np.flatnonzero(np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)))
+        self._joints = model.jnt_qposadr[scalar]
+        named = {"joints": [model.joint(joint).name for joint in scalar], "action": merged.task.action_names, "reward": ["reward"]}
+        for key, names in named.items():
+            stream.static(f"{self.root}/{key}", rr.SeriesLines(names=names))
 
     def act(self, times: np.ndarray, iteration: int, film: Film) -> None:
         """The curves of a film whose frames stand at times (T + 1,) [s]."""
         after = times[1 : len(film.qpos)]
         if len(after) == 0:
             return
-        position = np.concatenate([film.target, film.grasp[1:]], axis=1)
-        action = np.concatenate([np.clip(film.actions[:, :6], -1, 1), np.clip(closing_action(film.actions), -1, 1)[:, None]], axis=1)
-        distance = np.stack([film.distance[1:], np.full(len(after), self.tolerance)], axis=1)
-        reward = np.stack([film.rewards, film.closing], axis=1)
         gap = times[len(after)] + 1e-3  # a line would otherwise run on to the next episode
-        for key, values in (("position", position), ("action", action), ("distance", distance), ("grip", film.grip[:, None]),
-                            ("reward", reward)):
+        for key, values in (self._of_pick(film) if self.pick else self._of_model(film)).items():
             ended = np.concatenate([values, np.full((1, values.shape[1]), np.nan)])
             columns = rr.Scalars.columns(scalars=ended.ravel()).partition([values.shape[1]] * len(ended))
             self.stream.rows(f"{self.root}/{key}", np.append(after, gap), iteration, columns)
+
+    def _of_model(self, film: Film) -> dict[str, np.ndarray]:
+        """Curve -> (T, lines)."""
+        return {"joints": film.qpos[1:, self._joints], "action": np.clip(film.actions, -1, 1), "reward": film.rewards[:, None]}
+
+    def _of_pick(self, film: PickFilm) -> dict[str, np.ndarray]:
+        """Curve -> (T, lines)."""
+        position = np.concatenate([film.target, film.grasp[1:]], axis=1)
+        action = np.concatenate([np.clip(film.actions[:, :6], -1, 1), np.clip(closing_action(film.actions), -1, 1)[:, None]], axis=1)
+        distance = np.stack([film.distance[1:], np.full(len(film.rewards), self.tolerance)], axis=1)
+        reward = np.stack([film.rewards, film.closing], axis=1)
+        return {"position": position, "action": action, "distance": distance, "grip": film.grip[:, None], "reward": reward}
 
     def caption(self, time: float, iteration: int, text: str) -> None:
         """What is seen from now on, as Markdown."""
         self.stream.row(f"{self.root}/caption", time, iteration, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
-def rollouts_views(root: str = SIGNALS, whole: bool = False) -> dict[str, rrb.View]:
-    """The page's curves and caption, of the robot under ``root``: around the cursor, or whole."""
+def rollouts_views(root: str = SIGNALS, whole: bool = False, pick: bool = True) -> dict[str, rrb.View]:
+    """The page's curves and caption, of the robot under ``root``: around the cursor, or whole; of a pick, or of a family's robot."""
     before, after = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-WINDOW, WINDOW))
     window = None if whole else rrb.TimeAxis(view_range=rr.TimeRange(start=before, end=after))
     views: dict[str, rrb.View] = {
         key: rrb.TimeSeriesView(origin=f"{root}/{key}", name=title, axis_x=window,
-                                plot_legend=rrb.PlotLegend(visible=len(LINES[key]) == 2, corner=rrb.Corner2D.RightTop))
-        for key, title in TITLES.items()
+                                plot_legend=rrb.PlotLegend(visible=pick and len(LINES[key]) == 2, corner=rrb.Corner2D.RightTop))
+        for key, title in (TITLES if pick else MODEL_TITLES).items()
     }
     views["caption"] = rrb.TextDocumentView(origin=f"{root}/caption", name="Episode")
     return views
+
+
+def recorded_pick(chunks: Iterable[Chunk]) -> bool:
+    """Whether a recording is of picks, and not of a family's robots."""
+    return all(chunk.entity_path != f"/{SIGNALS}/joints" for chunk in chunks)

@@ -1,140 +1,33 @@
-"""The robot in 3-D: every mesh once, as many instances of it as robots wear it, placed anew in every frame.
+"""The robot in 3-D: every mesh once, as many instances of it as there are links that look so, placed anew in every frame.
 
     scene/robot/<mesh>     instances of one mesh; it fades as its robot melts into another
     scene/robot/bones      the merged robot's links as capsules; scene/robot/pads, boxes: what touches, as wireframes
+    scene/robot/capsules, boxes, cylinders, ellipsoids: of a family, what is no mesh
     scene/object, goal, trail, target, contacts, label
+    framing                from where one looks: of the scene, then of the robot, the eye and the point looked at
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 
-import mujoco
 import numpy as np
 import rerun as rr
-from scipy.spatial.transform import Rotation
+import rerun.blueprint as rrb
+from rerun.chunk import Chunk
 
-from toolkit.inspection.appearance import Mesh, Wardrobe, body_mesh
-from toolkit.inspection.film import Film
-from toolkit.inspection.furniture import furniture, opacity
+from toolkit.inspection.appearance import Mesh
+from toolkit.inspection.casting import Cast, Casting, Part, Primitives, held
+from toolkit.inspection.film import Film, PickFilm
+from toolkit.inspection.furniture import opacity
+from toolkit.inspection.recording.layout import Eye, robot_view
 from toolkit.inspection.recording.stream import Stream, x_first
-from toolkit.morphology.build import MergedRobot
 
 FAINT = 0.02
 """A robot of less weight is not drawn."""
-BONE_SHARE = 0.35
-"""Bones are drawn this much thinner than they are, inside the meshes."""
 METRES_PER_NEWTON = 0.01
 """Length of a contact's arrow."""
 LONGEST_ARROW = 0.25
 """[m] for the jolts of a simulation that comes apart."""
-BONE, WIRE, GOAL, TRAIL, AIM, PUSH = (70, 74, 82), (30, 90, 200), (0, 158, 115), (0, 114, 178), (230, 159, 0), (213, 94, 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Cast:
-    """One robot over T frames, world frame.
-
-    Attributes:
-        positions: (T, n_worn, 3) [m] and quaternions: (T, n_worn, 4) w first, of everything worn.
-        weights: (T, n_robots) how much of each robot shows.
-        bones, pads: capsules as positions (T, n, 3) of their middles, quaternions (T, n, 4), sizes (T, n, 2): radius
-            and half length [m].  boxes: likewise with half sizes (T, n, 3).
-        carried: (T, 7) pose of the object.
-    """
-
-    positions: np.ndarray
-    quaternions: np.ndarray
-    weights: np.ndarray
-    bones: tuple[np.ndarray, np.ndarray, np.ndarray]
-    pads: tuple[np.ndarray, np.ndarray, np.ndarray]
-    boxes: tuple[np.ndarray, np.ndarray, np.ndarray]
-    carried: np.ndarray
-
-    def moved(self, offset: np.ndarray) -> "Cast":
-        """The same robot elsewhere: offset (3,) [m]."""
-        parts = {name: (p + offset, q, s) for name, (p, q, s) in (("bones", self.bones), ("pads", self.pads), ("boxes", self.boxes))}
-        carried = self.carried.copy()
-        carried[:, :3] += offset
-        return Cast(self.positions + offset, self.quaternions, self.weights, carried=carried, **parts)
-
-
-class Casting:
-    """Turns robots and films into casts.
-
-    Args:
-        merged: the merged robot.
-        wardrobe: of its matching.
-    """
-
-    def __init__(self, merged: MergedRobot, wardrobe: Wardrobe) -> None:
-        self.merged, self.wardrobe = merged, wardrobe
-        template = merged.template
-        self._links = [template.body(slot.name).id for slot in merged.space.matching.slots]
-        self._object = template.body("object").id
-        bones = [template.geom(f"{slot.name}/bone").id for slot in merged.space.matching.slots]
-        shapes = [template.geom(shape.name).id for shape in merged.space.shape_slots]
-        boxes = [geom for geom in shapes if template.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX]
-        self._geoms = (bones, [geom for geom in shapes if geom not in boxes], boxes)
-
-    def standing(self, alphas: Sequence[np.ndarray]) -> Cast:
-        """Robots F(alpha) at the start posture, one per frame."""
-        frames = []
-        model, data = self.merged.new()
-        for alpha in alphas:
-            self.merged.become(alpha, model, data)
-            mujoco.mj_kinematics(model, data)
-            frames.append(self._frame(model, data, self.wardrobe.weights(alpha, self.merged.space.betas)))
-        return _joined(frames)
-
-    def playing(self, film: Film, alpha: np.ndarray) -> Cast:
-        """A film on F(alpha)."""
-        data = mujoco.MjData(film.model)
-        weights = self.wardrobe.weights(alpha, self.merged.space.betas)
-        frames = []
-        for row in film.qpos:
-            data.qpos[:] = row
-            mujoco.mj_kinematics(film.model, data)
-            frames.append(self._frame(film.model, data, weights))
-        return _joined(frames)
-
-    def native(self, film: Film, robot: str) -> Cast:
-        """A film on the unmodified robosuite robot."""
-        data = mujoco.MjData(film.model)
-        index = self.merged.space.matching.names.index(robot)
-        own = [k for k, item in enumerate(self.wardrobe.worn) if item.robot == index]
-        bodies = [self.wardrobe.worn[k].body for k in own]
-        steps, worn = len(film.qpos), len(self.wardrobe.worn)
-        positions, quaternions, carried = np.zeros((steps, worn, 3)), np.zeros((steps, worn, 4)), np.empty((steps, 7))
-        quaternions[..., 0] = 1.0
-        for frame, row in enumerate(film.qpos):
-            data.qpos[:] = row
-            mujoco.mj_kinematics(film.model, data)
-            positions[frame, own], quaternions[frame, own] = data.xpos[bodies], data.xquat[bodies]
-            carried[frame] = [*data.xpos[film.object_body], *data.xquat[film.object_body]]
-        weights = np.zeros((steps, len(self.merged.space.matching.names)))
-        weights[:, index] = 1.0
-        none = (np.empty((steps, 0, 3)), np.empty((steps, 0, 4)))
-        return Cast(positions, quaternions, weights, (*none, np.empty((steps, 0, 2))), (*none, np.empty((steps, 0, 2))),
-                    (*none, np.empty((steps, 0, 3))), carried)
-
-    def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, weights: np.ndarray) -> Cast:
-        positions, quaternions = self.wardrobe.poses(data, self._links)
-        parts = []
-        for geoms in self._geoms:
-            turned = Rotation.from_matrix(data.geom_xmat[geoms].reshape(-1, 3, 3)).as_quat(scalar_first=True)
-            parts.append((np.array(data.geom_xpos[geoms])[None], turned[None], np.array(model.geom_size[geoms])[None]))
-        (bones, pads, boxes) = parts
-        carried = np.array([*data.xpos[self._object], *data.xquat[self._object]])
-        return Cast(positions[None], quaternions[None], weights[None], (*bones[:2], bones[2][..., :2]),
-                    (*pads[:2], pads[2][..., :2]), boxes, carried[None])
-
-
-def _joined(frames: list[Cast]) -> Cast:
-    """Casts of single frames, one after another."""
-    stack = lambda name: np.concatenate([getattr(frame, name) for frame in frames])  # noqa: E731
-    triple = lambda name: tuple(np.concatenate([getattr(frame, name)[k] for frame in frames]) for k in range(3))  # noqa: E731
-    return Cast(stack("positions"), stack("quaternions"), stack("weights"), triple("bones"), triple("pads"), triple("boxes"),
-                stack("carried"))
+LABEL, GOAL, TRAIL, AIM, PUSH = (70, 74, 82), (0, 158, 115), (0, 114, 178), (230, 159, 0), (213, 94, 0)
 
 
 class Scene:
@@ -142,45 +35,51 @@ class Scene:
 
     Args:
         stream: to draw into.
-        merged: whose table and object are drawn.
-        wardrobe: its meshes.
+        casting: that makes them.
+        tolerance: [m] around a goal that has a place; None: the task has none.
         offsets: [m] where the robots stand; one, or one per robot that is compared.
     """
 
-    def __init__(self, stream: Stream, merged: MergedRobot, wardrobe: Wardrobe, offsets: Sequence[np.ndarray] = (np.zeros(3),)) -> None:
-        self.stream, self.wardrobe, self.offsets = stream, wardrobe, [np.asarray(offset, float) for offset in offsets]
-        self._users = [[k for k, item in enumerate(wardrobe.worn) if item.mesh == mesh] for mesh in range(len(wardrobe.meshes))]
+    def __init__(
+        self, stream: Stream, casting: Casting, tolerance: float | None = None, offsets: Sequence[np.ndarray] = (np.zeros(3),)
+    ) -> None:
+        self.stream, self.casting, self.offsets = stream, casting, [np.asarray(offset, float) for offset in offsets]
+        self._users = [np.flatnonzero(casting.instances[:, 0] == mesh).tolist() for mesh in range(len(casting.meshes))]
         self._shown: dict[int, bool] = {}
-        names = [mesh.name for mesh in wardrobe.meshes]
+        names = [mesh.name for mesh in casting.meshes]
         self.entities = [f"scene/robot/{name}" if names.count(name) == 1 else f"scene/robot/{name}-{k}" for k, name in enumerate(names)]
-        for entity, mesh in zip(self.entities, wardrobe.meshes, strict=True):
+        for entity, mesh in zip(self.entities, casting.meshes, strict=True):
             stream.static(entity, _triangles(mesh))
-        stream.static("scene/robot/bones", rr.Capsules3D.from_fields(colors=BONE, fill_mode="solid"))
-        stream.static("scene/robot/pads", rr.Capsules3D.from_fields(colors=WIRE, fill_mode="majorwireframe", line_radii=0.0006))
-        stream.static("scene/robot/boxes", rr.Boxes3D.from_fields(colors=WIRE, fill_mode="majorwireframe", radii=0.0006))
-        stream.static("scene/goal", rr.Ellipsoids3D.from_fields(colors=GOAL, fill_mode="majorwireframe", line_radii=0.001))
-        stream.static("scene/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.0015))
-        stream.static("scene/target", rr.Points3D.from_fields(colors=AIM, radii=0.006))
-        stream.static("scene/contacts", rr.Arrows3D.from_fields(colors=PUSH, radii=0.0015))
-        stream.static("scene/label", rr.Points3D.from_fields(colors=BONE, radii=0.001, show_labels=True))
-        template = merged.template
-        stream.static("scene/object", _triangles(body_mesh(template, template.body("object").id)))
-        for k, mesh in enumerate(furniture(merged.space.matching.systems[0].model)):
+        for name, drawn in casting.primitives.items():
+            stream.static(f"scene/robot/{name}", _style(drawn, len(self.offsets)))
+        if casting.carried is not None:
+            stream.static("scene/goal", rr.Ellipsoids3D.from_fields(colors=GOAL, fill_mode="majorwireframe", line_radii=0.001))
+            stream.static("scene/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.0015))
+            stream.static("scene/target", rr.Points3D.from_fields(colors=AIM, radii=0.006))
+            stream.static("scene/contacts", rr.Arrows3D.from_fields(colors=PUSH, radii=0.0015))
+            stream.static("scene/object", _triangles(casting.carried))
+        stream.static("scene/label", rr.Points3D.from_fields(colors=LABEL, radii=0.001, show_labels=True))
+        stream.static("framing", rr.Points3D(np.concatenate([casting.framing.whole, casting.framing.near])))
+        for k, mesh in enumerate(casting.scenery):
             upright = [(0.0, 0.0, 0.0, 1.0)] * len(offsets)
             stream.static(f"scene/furniture/{k}", _triangles(mesh), rr.InstancePoses3D(translations=self.offsets, quaternions=upright))
-        self.tolerance = merged.task.goal_tolerance
+        self.tolerance = tolerance
 
     def show(self, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
         """Draw robots over T frames, from ``times`` (T,) [s] on; a cast that is shorter stands still at its end."""
-        casts = [_stretched(cast.moved(offset), len(times)) for cast, offset in zip(casts, self.offsets, strict=True)]
+        casts = [cast.moved(offset).stretched(len(times)) for cast, offset in zip(casts, self.offsets, strict=True)]
         for mesh in range(len(self.entities)):
             self._show_mesh(mesh, times, iteration, casts)
-        self._show_parts(times, iteration, casts)
-        carried = np.stack([cast.carried for cast in casts], axis=1)
-        self.stream.rows("scene/object", times, iteration, _poses(carried[..., :3], carried[..., 3:]))
+        for name, drawn in self.casting.primitives.items():
+            self._show_primitives(name, drawn, times, iteration, casts)
+        if self.casting.carried is not None:
+            carried = np.stack([cast.carried for cast in casts], axis=1)
+            self.stream.rows("scene/object", times, iteration, _poses(carried[..., :3], carried[..., 3:]))
 
     def act(self, times: np.ndarray, iteration: int, films: Sequence[Film]) -> None:
-        """Draw goals, trails, targets and contacts of films that ``show`` has drawn the robots of."""
+        """Draw what else films show that ``show`` has drawn the robots of: of picks goals, trails, targets and contacts."""
+        if not all(isinstance(film, PickFilm) for film in films):
+            return
         goals = [film.goal + offset for film, offset in zip(films, self.offsets, strict=True)]
         begin, sizes = float(times[0]), [[self.tolerance] * 3] * len(films)
         self.stream.row("scene/goal", begin, iteration, rr.Ellipsoids3D.from_fields(centers=goals, half_sizes=sizes))
@@ -189,13 +88,15 @@ class Scene:
         steps = len(times) - 1
         if steps < 1:
             return
-        aims = np.stack([_held(film.target, steps) + offset for film, offset in zip(films, self.offsets, strict=True)], axis=1)
+        aims = np.stack([held(film.target, steps) + offset for film, offset in zip(films, self.offsets, strict=True)], axis=1)
         columns = rr.Points3D.columns(positions=aims.reshape(-1, 3)).partition([len(films)] * steps)
         self.stream.rows("scene/target", times[1:], iteration, columns)
         self._touches(times, iteration, films)
 
     def clear_act(self, time: float, iteration: int) -> None:
         """Take away what belongs to an episode."""
+        if self.casting.carried is None:
+            return
         none, at = np.empty((0, 3)), (np.array([time]), iteration)
         self.stream.rows("scene/goal", *at, rr.Ellipsoids3D.columns(centers=none, half_sizes=none).partition([0]))
         self.stream.row("scene/trail", time, iteration, rr.LineStrips3D.from_fields(strips=[]))
@@ -204,14 +105,14 @@ class Scene:
 
     def label(self, time: float, iteration: int, texts: Sequence[str]) -> None:
         """Write over each robot what it is."""
-        places = [np.array([-0.3, 0.0, 1.75]) + offset for offset in self.offsets]
+        places = [self.casting.framing.label + offset for offset in self.offsets]
         self.stream.row("scene/label", time, iteration, rr.Points3D.from_fields(positions=places, labels=texts))
 
     # ---- parts ------------------------------------------------------------------------------------------------
 
     def _show_mesh(self, mesh: int, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
-        users, worn = self._users[mesh], self.wardrobe.worn
-        robots = np.array([worn[user].robot for user in users])
+        users = self._users[mesh]
+        robots = self.casting.instances[users, 1]
         positions = np.concatenate([cast.positions[:, users] for cast in casts], axis=1)
         quaternions = np.concatenate([cast.quaternions[:, users] for cast in casts], axis=1)
         faint = FAINT if len(casts) == 1 else 0.5  # one opacity serves all instances: of robots side by side, no ghosts
@@ -229,23 +130,18 @@ class Scene:
         columns = _poses(positions[seen], quaternions[seen], lengths=seen.sum(axis=1))
         self.stream.rows(self.entities[mesh], times, iteration, columns, rr.Mesh3D.columns(albedo_factor=colours))
 
-    def _show_parts(self, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
-        frames = len(times)
-        for name in ("bones", "pads"):
-            positions, quaternions, sizes = (np.concatenate([getattr(cast, name)[k] for cast in casts], axis=1) for k in range(3))
-            radius, half = sizes[..., 0], sizes[..., 1]
-            radius = radius * (BONE_SHARE if name == "bones" else 1.0)
-            begin = positions - _z_axes(quaternions) * half[..., None]  # rerun's capsules start at their origin
-            count = positions.shape[1]
-            each = [count] * frames
-            columns = rr.Capsules3D.columns(
-                translations=begin.reshape(-1, 3), quaternions=x_first(quaternions).reshape(-1, 4), radii=radius.ravel(),
-                lengths=2 * half.ravel()).partition(each)
-            self.stream.rows(f"scene/robot/{name}", times, iteration, columns)
-        positions, quaternions, sizes = (np.concatenate([cast.boxes[k] for cast in casts], axis=1) for k in range(3))
-        self.stream.rows("scene/robot/boxes", times, iteration, rr.Boxes3D.columns(
-            centers=positions.reshape(-1, 3), quaternions=x_first(quaternions).reshape(-1, 4),
-            half_sizes=sizes.reshape(-1, 3)).partition([positions.shape[1]] * frames))
+    def _show_primitives(self, name: str, drawn: Primitives, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
+        part = tuple(np.concatenate([cast.parts[name][k] for cast in casts], axis=1) for k in range(3))
+        columns = _solids(drawn, part)
+        if drawn.columns is not None:
+            shown = np.concatenate([opacity(cast.weights[:, drawn.columns], cast.weights.max(axis=1, keepdims=True)) for cast in casts],
+                                   axis=1)
+            colours = np.tile(drawn.colours, (len(times), len(casts), 1)).astype(float)
+            colours[..., 3] *= shown
+            columns["colors"] = np.round(colours).astype(np.uint8).reshape(-1, 4)
+        archetype = ARCHETYPES[drawn.kind]
+        self.stream.rows(f"scene/robot/{name}", times, iteration,
+                         archetype.columns(**columns).partition([part[0].shape[1]] * len(times)))
 
     def _touches(self, times: np.ndarray, iteration: int, films: Sequence[Film]) -> None:
         origins, vectors, lengths = [], [], []
@@ -261,6 +157,54 @@ class Scene:
         if len(arrows):
             columns = rr.Arrows3D.columns(origins=np.concatenate(origins), vectors=arrows).partition(lengths)
             self.stream.rows("scene/contacts", times[1:], iteration, columns)
+
+
+ARCHETYPES = {"capsules": rr.Capsules3D, "boxes": rr.Boxes3D, "cylinders": rr.Cylinders3D, "ellipsoids": rr.Ellipsoids3D}
+
+
+def _style(drawn: Primitives, copies: int) -> rr.AsComponents:
+    """What is the same of primitives at all times."""
+    colours = np.tile(drawn.colours, (copies, 1)) if drawn.colours.ndim > 1 else drawn.colours
+    style = {} if drawn.columns is not None else {"colors": colours}
+    if not drawn.wire:
+        return ARCHETYPES[drawn.kind].from_fields(**style, fill_mode="solid")
+    lines = "radii" if drawn.kind == "boxes" else "line_radii"
+    return ARCHETYPES[drawn.kind].from_fields(**style, fill_mode="majorwireframe", **{lines: 0.0006})
+
+
+def _solids(drawn: Primitives, part: Part) -> dict[str, np.ndarray]:
+    """Primitives over all frames, flat, as the columns of rerun's archetype of their kind."""
+    positions, quaternions, sizes = part
+    turned = {"quaternions": x_first(quaternions).reshape(-1, 4)}
+    if drawn.kind in ("boxes", "ellipsoids"):
+        return turned | {"centers": positions.reshape(-1, 3), "half_sizes": sizes.reshape(-1, 3)}
+    radius, half = sizes[..., 0] * drawn.thinness, sizes[..., 1]
+    long = {"radii": radius.ravel(), "lengths": 2 * half.ravel()}
+    if drawn.kind == "cylinders":
+        return turned | long | {"centers": positions.reshape(-1, 3)}
+    begin = positions - _z_axes(quaternions) * half[..., None]  # rerun's capsules start at their origin
+    return turned | long | {"translations": begin.reshape(-1, 3)}
+
+
+def scene_views(eyes: tuple[Eye, Eye], pick: bool) -> dict[str, rrb.View]:
+    """The views of an episode and of a robot on its way.
+
+    Args:
+        eyes: from where one looks at the scene, and at the robot.
+        pick: whether it is a pick.
+    """
+    more = ("Episode: goal, trail, OSC target, contact forces", "; wireframes are what touches in the physics") if pick else ("Episode", "")
+    return {"scene": robot_view(more[0], eyes[0]), "robot": robot_view(f"The robot on its way{more[1]}", eyes[1])}
+
+
+def recorded_framing(chunks: Iterable[Chunk]) -> tuple[Eye, Eye] | None:
+    """From where one looks at a recording's scene and at its robot; None if it does not say, as those of older versions."""
+    for chunk in chunks:
+        if chunk.entity_path == "/framing":
+            row = chunk.to_record_batch().slice(0, 1).to_pylist()[0]
+            eyes = np.array(row["Points3D:positions"]).reshape(2, 2, 3)
+            return tuple(eyes[0]), tuple(eyes[1])
+    return None
 
 
 def _triangles(mesh: Mesh) -> rr.Mesh3D:
@@ -290,15 +234,3 @@ def _poses(positions: np.ndarray, quaternions: np.ndarray, lengths: np.ndarray |
         lengths = np.full(positions.shape[0], positions.shape[1])
     flat = {"translations": positions.reshape(-1, 3), "quaternions": x_first(quaternions).reshape(-1, 4)}
     return rr.InstancePoses3D.columns(**flat).partition(lengths)
-
-
-def _held(values: np.ndarray, count: int) -> np.ndarray:
-    """The first ``count`` rows; the last one repeated if there are fewer."""
-    rows = values[:count]
-    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)]) if len(rows) < count else rows
-
-
-def _stretched(cast: Cast, count: int) -> Cast:
-    triple = lambda part: tuple(_held(array, count) for array in part)  # noqa: E731
-    return Cast(_held(cast.positions, count), _held(cast.quaternions, count), _held(cast.weights, count), triple(cast.bones),
-                triple(cast.pads), triple(cast.boxes), _held(cast.carried, count))

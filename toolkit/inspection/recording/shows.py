@@ -4,39 +4,36 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
 
+from tasks.pick import PickTask
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.casting import AT_THE_TABLE, Framing, casting_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.film import Film, shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
-from toolkit.inspection.recording.layout import pages_layout, quiet_layout, robot_view
+from toolkit.inspection.recording.layout import Layout, pages_layout, quiet_layout, robot_view
 from toolkit.inspection.recording.learning import flat_curves
-from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
-from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.rollouts import RolloutsPage, recorded_pick, rollouts_views
+from toolkit.inspection.recording.scene import Scene, recorded_framing, scene_views
 from toolkit.inspection.recording.story import Cost, Story, story_layout
 from toolkit.inspection.recording.stream import FILM, Stream
 from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.io.quoting import markdown
 from toolkit.learning.policy import GaussianPolicy, MeanActor
-from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, Take
 from toolkit.runs.run import Run, continuing, read_tree, transfer_records
 from toolkit.runs.seeds import CHECKING_SEEDS
-from toolkit.simulation.laws import merged_plant
-from toolkit.simulation.plant import Plant
+from toolkit.simulation.laws import Drivable, merged_plant
 
 POLL = 1.0
 """[s] between two looks at a running transfer's folder."""
-APART = 0.95
-"""[m] between two robots that stand side by side."""
-FRONT = np.array([0.75, 0.0, 1.3]), np.array([-0.25, 0.0, 1.12])
-"""Where robots side by side are seen from, and the point looked at [m]."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +44,14 @@ class Known:
         folder: the run's.
         merged: its merged robot in its task.
         policy: any policy of its networks.
-        native: target name -> its unmodified robosuite robot as a plant.
+        native: target name -> the unmodified robot as a plant.
         trained: target name -> final policy, of the targets that are reached.
     """
 
     folder: Path
-    merged: MergedRobot
+    merged: Merged
     policy: GaussianPolicy
-    native: Callable[[str], Plant]
+    native: Callable[[str], Drivable]
     trained: dict[str, GaussianPolicy]
 
     def tree(self) -> dict[str, Any]:
@@ -98,7 +95,8 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
 def page_layout(folder: Path, recording: Path, page: str | None, excerpt: bool = False) -> rrb.Blueprint:
     """The layout of one page alone, or of all, to be opened with a run's recording, or with an excerpt of it."""
     chunks = list(chunks_of(recording))
-    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks), page, excerpt, flat_curves(chunks))
+    eyes = recorded_framing(chunks) or (AT_THE_TABLE.whole, AT_THE_TABLE.near)
+    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks), eyes, recorded_pick(chunks), page, excerpt, flat_curves(chunks))
 
 
 def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
@@ -123,7 +121,7 @@ def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False)
     story.finish()
 
 
-def morph(merged: MergedRobot, source: str, targets: Sequence[str], path: Path, tree: dict[str, Any], frames: int = 60) -> None:
+def morph(merged: Merged, source: str, targets: Sequence[str], path: Path, tree: dict[str, Any], frames: int = 60) -> None:
     """The source turning into each target along the tree, without any policy.
 
     Args:
@@ -134,10 +132,10 @@ def morph(merged: MergedRobot, source: str, targets: Sequence[str], path: Path, 
         frames: per target.
     """
     stream = Stream(path)
-    wardrobe = Wardrobe(merged.space.matching)
-    casting, plan = Casting(merged, wardrobe), Plan(tree)
-    page, scene = EvolutionPage(stream, plan, merged.space), Scene(stream, merged, wardrobe)
-    stream.arrange(pages_layout(lambda: {"scene": robot_view("Robot")} | evolution_views(plan, alpha_extent(merged.space)), "morph"))
+    casting, plan = casting_of(merged), Plan(tree)
+    page, scene = EvolutionPage(stream, plan, merged.space), Scene(stream, casting)
+    eyes, pick = (casting.framing.whole, casting.framing.near), isinstance(merged.task, PickTask)
+    stream.arrange(pages_layout(lambda: scene_views(eyes, pick) | evolution_views(plan, alpha_extent(merged.space)), "morph"))
     clock = 0.0
     for number, target in enumerate(targets):
         alphas = _along(plan, source, target, frames)
@@ -154,22 +152,24 @@ def morph(merged: MergedRobot, source: str, targets: Sequence[str], path: Path, 
     stream.close()
 
 
-def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> list[Film]:
+def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> tuple[list[Film], Layout]:
     """The final policies of two targets, or of two runs, side by side in one scene, from the same seed on F(beta).
 
     Args:
         sides: (label, run, target) of each; the first run's merged robot knows all targets.
         path: the .rrd file.
         seed: of the start.
+
+    Returns:
+        What was played, and the recording's layout.
     """
     merged = sides[0][1].merged
     stream = Stream(path)
-    wardrobe = Wardrobe(merged.space.matching)
-    casting = Casting(merged, wardrobe)
+    casting = casting_of(merged)
     middle = (len(sides) - 1) / 2
-    offsets = [np.array([0.0, APART * (k - middle), 0.0]) for k in range(len(sides))]
-    scene = Scene(stream, merged, wardrobe, offsets)
-    pages = [RolloutsPage(stream, merged.task.goal_tolerance, _side(k)) for k in range(len(sides))]
+    offsets = [np.array([0.0, casting.framing.apart * (k - middle), 0.0]) for k in range(len(sides))]
+    pages = [RolloutsPage(stream, merged, _side(k)) for k in range(len(sides))]
+    scene = Scene(stream, casting, pages[0].tolerance, offsets)
     films, casts = [], []
     for _, known, target in sides:
         if target not in known.trained:
@@ -178,7 +178,8 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
         film = shoot(merged_plant(merged, beta, *merged.new()), MeanActor(policy), seed, beta)
         films.append(film)
         casts.append(casting.playing(film, beta))
-    stream.arrange(compare_layout([label for label, _, _ in sides]))
+    layout = partial(_compare_layout, [label for label, _, _ in sides], casting.framing, pages[0].pick)
+    stream.arrange(layout(False))
     times = films[0].interval * np.arange(max(len(film.qpos) for film in films))
     scene.show(times, 0, casts)
     scene.act(times, 0, films)
@@ -187,15 +188,16 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> l
         page.act(times[: len(film.qpos)], 0, film)
         page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise: **{film.verdict()}.**")
     stream.close()
-    return films
+    return films, layout
 
 
-def compare_layout(labels: Sequence[str], excerpt: bool = False) -> rrb.Blueprint:
+def _compare_layout(labels: Sequence[str], framing: Framing, pick: bool, excerpt: bool) -> rrb.Blueprint:
     """The layout of a comparison, or of an excerpt of one."""
-    views = [rollouts_views(_side(k), excerpt) for k in range(len(labels))]
-    columns = [rrb.Vertical(view["caption"], view["distance"], view["position"], view["grip"], row_shares=[1, 2, 2, 2], name=label)
+    views = [rollouts_views(_side(k), excerpt, pick) for k in range(len(labels))]
+    curves = ("distance", "position", "grip") if pick else ("joints", "action", "reward")
+    columns = [rrb.Vertical(view["caption"], *(view[key] for key in curves), row_shares=[1, 2, 2, 2], name=label)
                for label, view in zip(labels, views, strict=True)]
-    scene = robot_view("Side by side, same seed: " + " | ".join(labels), FRONT)
+    scene = robot_view("Side by side, same seed: " + " | ".join(labels), framing.beside)
     return quiet_layout(rrb.Vertical(scene, rrb.Horizontal(*columns), row_shares=[6, 5]), FILM)
 
 

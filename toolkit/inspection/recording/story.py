@@ -14,21 +14,20 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.casting import casting_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.film import shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
-from toolkit.inspection.recording.layout import page_timeline, pages_layout, robot_view
+from toolkit.inspection.recording.layout import Eye, page_timeline, pages_layout
 from toolkit.inspection.recording.learning import LearningPage, learning_views
 from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
-from toolkit.inspection.recording.scene import Casting, Scene
+from toolkit.inspection.recording.scene import Scene, scene_views
 from toolkit.inspection.recording.stream import Stream
 from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy, MeanActor
-from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import FOLDER, Phase, Take, landmarks, load_phase
-from toolkit.simulation.laws import merged_plant
-from toolkit.simulation.plant import Plant
+from toolkit.simulation.laws import Drivable, merged_plant
 
 MORPH_RATE = 20.0
 """Frames per second of the film while a robot turns into another."""
@@ -60,7 +59,7 @@ class Cost:
 
 
 def begin_story(
-    folder: Path, merged: MergedRobot, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Plant],
+    folder: Path, merged: Merged, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Drivable],
     records: Sequence[dict[str, Any]],
 ) -> "Story":
     """The recording of a run that goes on, into its folder; the arguments are those of ``Story``."""
@@ -76,7 +75,7 @@ class Story:
         merged: the run's merged robot in its task.
         tree: as in tree.json.
         policy: any policy of the run's networks.
-        native: target name -> its unmodified robosuite robot as a plant (made when first needed).
+        native: target name -> the unmodified robot as a plant (made when first needed).
         share: of the wall time that the story may take; None: all it wants.
         records: of metrics.jsonl that are there already; they are told at once.
     """
@@ -85,10 +84,10 @@ class Story:
         self,
         stream: Stream,
         folder: Path,
-        merged: MergedRobot,
+        merged: Merged,
         tree: dict[str, Any],
         policy: GaussianPolicy,
-        native: Callable[[str], Plant] | None = None,
+        native: Callable[[str], Drivable] | None = None,
         share: float | None = None,
         records: Sequence[dict[str, Any]] = (),
     ) -> None:
@@ -102,17 +101,17 @@ class Story:
         self._known: list[tuple[Phase, Take]] = []
         self._shown: set[str] = set()  # names of phases
         self._longest = 0.0
-        wardrobe = Wardrobe(merged.space.matching)
-        self._casting = Casting(merged, wardrobe)
+        self._casting = casting_of(merged)
         self.plan = Plan(tree)
         self.evolution = EvolutionPage(stream, self.plan, merged.space)
         told = dict.fromkeys(record["path"] for record in records)
         older = not all(path.startswith("path 1") for path in told)  # paths were counted in the order of play: the plan has other names
         self.learning = LearningPage(stream, told if older else dict.fromkeys([*self.plan.paths, *told]))
-        self.rollouts = RolloutsPage(stream, merged.task.goal_tolerance)
-        self.scene = Scene(stream, merged, wardrobe)
+        self.rollouts = RolloutsPage(stream, merged)
+        self.scene = Scene(stream, self._casting, self.rollouts.tolerance)
         self.summary("The run goes on; this page fills when it ends.")
-        stream.arrange(story_layout(self.plan, alpha_extent(merged.space)))
+        framing = self._casting.framing
+        stream.arrange(story_layout(self.plan, alpha_extent(merged.space), (framing.whole, framing.near), self.rollouts.pick))
         source = next(name for name, node in self.plan.nodes.items() if node["kind"] == "source")
         self._targets = [name for name, node in self.plan.nodes.items() if node["kind"] == "target"]
         start = np.array(self.plan.nodes[source]["alpha"])
@@ -258,7 +257,7 @@ class Story:
         self.clock = float(times[-1]) + PAUSE
         self.cost.drawn += 1
 
-    def _plant(self, phase: Phase, take: Take) -> Plant | None:
+    def _plant(self, phase: Phase, take: Take) -> Drivable | None:
         if phase.stage == "evolve":
             return merged_plant(self.merged, take.alpha, *self.merged.new())
         if self._native is None:
@@ -280,22 +279,24 @@ class Story:
 
 
 def story_layout(
-    plan: Plan, extent: Extent | None, page: str | None = None, excerpt: bool = False, flat: Collection[str] = ()
+    plan: Plan, extent: Extent | None, eyes: tuple[Eye, Eye], pick: bool, page: str | None = None, excerpt: bool = False,
+    flat: Collection[str] = (),
 ) -> rrb.Blueprint:
     """The layout of a run's recording: all pages, or one alone on the timeline on which it reads best, or of an excerpt.
 
     Args:
         plan: of its tree.
         extent: of its heat map.
+        eyes: from where one looks at the scene, and at the robot.
+        pick: whether it is a pick.
         page: one of PAGES; None: all.
         excerpt: of one.
         flat: curves in whose place a sentence stands.
     """
 
     def views() -> dict[str, rrb.View]:
-        own = {"scene": robot_view("Episode: goal, trail, OSC target, contact forces"),
-               "summary": rrb.TextDocumentView(origin="summary", name="Summary")}
-        return evolution_views(plan, extent) | learning_views(flat) | rollouts_views(whole=excerpt) | own
+        own = scene_views(eyes, pick) | {"summary": rrb.TextDocumentView(origin="summary", name="Summary")}
+        return evolution_views(plan, extent) | learning_views(flat) | rollouts_views(whole=excerpt, pick=pick) | own
 
     return pages_layout(views, page, page_timeline(page))
 

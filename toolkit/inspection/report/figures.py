@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from toolkit.inspection.drawn_tree import Plan, matrix
 from toolkit.io.quoting import letters
-from toolkit.morphology.space import EvolutionSpace
+from toolkit.morphology.parameters import ParameterSpace
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 2, 2, 2)))
 MARKERS = "osv^Dx+*"
@@ -103,7 +103,7 @@ def projection_figure(plan: Plan, ways: Sequence[np.ndarray]) -> Figure:
 
 
 @letters
-def heat_figure(space: EvolutionSpace, robots: dict[str, np.ndarray]) -> Figure:
+def heat_figure(space: ParameterSpace, robots: dict[str, np.ndarray]) -> Figure:
     """alpha of robots (D,) as matrices: a row per joint or shape, a column per quantity, white 0 to black 1."""
     places, rows, columns = matrix(space)
     width = int(places[:, 0].max()) + 1

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from toolkit.capability.figure import audit_figure
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import Wardrobe
+from toolkit.inspection.casting import casting_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.report import figures
-from toolkit.inspection.report.stills import Studio
+from toolkit.inspection.report.stills import studio_of
 from toolkit.io.atomic import write_atomically
-from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, load_phases
 from toolkit.runs.run import Run, read_audit, read_report, transfer_records
 
@@ -43,7 +43,7 @@ class _Html(str):
     """HTML, as opposed to a text that is shown in it."""
 
 
-def write_report(folder: Path, merged: MergedRobot, tree: dict[str, Any], out: Path | None = None,
+def write_report(folder: Path, merged: Merged, tree: dict[str, Any], out: Path | None = None,
                  progress: Callable[[str], None] = lambda what: None) -> Path:
     """Write the page and its pictures; works on a run that goes on, or was stopped, too.
 
@@ -120,9 +120,9 @@ def walked_edges(plan: Plan, records: Sequence[dict[str, Any]], phases: dict[str
     return out
 
 
-def _strips(plan: Plan, merged: MergedRobot, progress: Callable[[str], None]) -> Iterator[Figure]:
+def _strips(plan: Plan, merged: Merged, progress: Callable[[str], None]) -> Iterator[Figure]:
     """Stills along every edge of the tree."""
-    studio = Studio(merged, Wardrobe(merged.space.matching))
+    studio = studio_of(casting_of(merged))
     try:
         for edge in plan.edges:
             progress(f"stills from {edge['from']} to {edge['to']}")
@@ -183,7 +183,7 @@ def _status(records: list[dict[str, Any]], report: dict[str, Any] | None) -> str
 
 
 def _targets(config: dict[str, Any], records: list[dict[str, Any]], report: dict[str, Any] | None) -> str:
-    head = ("target", "unmodified robosuite robot", "95 % interval", "F(beta)")
+    head = ("target", "unmodified robot", "95 % interval", "F(beta)")
     rows = []
     for name in config.get("targets", []):
         both = (report or {}).get("targets", {}).get(name)

@@ -1,4 +1,4 @@
-"""Robots rendered off screen by MuJoCo: what the merged robot wears, one robot fading into another, and what they carry where."""
+"""Robots rendered off screen by MuJoCo: one robot fading into another, and what they carry where."""
 
 import os
 from collections.abc import Callable
@@ -7,81 +7,41 @@ import mujoco
 import numpy as np
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import Wardrobe, body_mesh
-from toolkit.inspection.furniture import furniture, opacity
-from toolkit.morphology.build import MergedRobot
+from toolkit.inspection.appearance import geom_colour
+from toolkit.inspection.casting import ALWAYS, SHAPE, ArmCasting, Cast, Casting, ModelCasting
+from toolkit.inspection.furniture import opacity
+from toolkit.morphology.family import MergedModel
 
 CAMERA = {"lookat": (-0.27, 0.0, 1.15), "distance": 1.35, "azimuth": 125.0, "elevation": -18.0}
 """Where the picture is taken from: [m], [m], [deg], [deg]."""
-
+SKY, AMBIENT, DIFFUSE = [0.86, 0.88, 0.91], 0.45, 0.55
+"""Colour of the background, and brightness of the camera's own light."""
 GOAL = (0.0, 0.62, 0.45, 0.35)
 
 
-class Studio:
-    """Takes pictures of F(alpha) at the start posture.
+class _Camera:
+    """MuJoCo's renderer, off screen.
 
     Args:
-        merged: the merged robot.
-        wardrobe: what it wears.
+        model: that is drawn.
         size: width and height [pixels].
 
     Raises:
         ToolkitError: no off-screen rendering here.
     """
 
-    def __init__(self, merged: MergedRobot, wardrobe: Wardrobe, size: tuple[int, int] = (360, 360)) -> None:
-        self.merged, self.wardrobe, self.size = merged, wardrobe, size
-        self._model = _studio_model(merged, wardrobe)
-        self._data = mujoco.MjData(self._model)
-        self._links = [merged.template.body(slot.name).id for slot in merged.space.matching.slots]
-        self._robot, self._robot_data = merged.new()
-        self._worn = [self._model.geom(f"worn{k}").id for k in range(len(wardrobe.worn))]
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
+        self.size = size
+        self._model, self._data = model, mujoco.MjData(model)
         self._gl = _context(*size)
         self._gl.make_current()
-        self._render = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._render = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=2000)
+        self._scene = mujoco.MjvScene(model, maxgeom=2000)
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
-        self._camera.lookat[:] = CAMERA["lookat"]
-        self._camera.distance, self._camera.azimuth, self._camera.elevation = CAMERA["distance"], CAMERA["azimuth"], CAMERA["elevation"]
 
-    def take(self, alpha: np.ndarray) -> np.ndarray:
-        """Picture (height, width, 3), 0 to 255, of the robot alpha (D,)."""
-        self.merged.become(alpha, self._robot, self._robot_data)
-        mujoco.mj_kinematics(self._robot, self._robot_data)
-        return self.draw(*self.wardrobe.poses(self._robot_data, self._links), self.wardrobe.weights(alpha, self.merged.space.betas))
-
-    def draw(
-        self, positions: np.ndarray, quaternions: np.ndarray, weights: np.ndarray, carried: np.ndarray | None = None,
-        goal: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Picture (height, width, 3), 0 to 255.
-
-        Args:
-            positions, quaternions: (n_worn, 3) [m] and (n_worn, 4), w first, of everything worn, world.
-            weights: (n_robots,) how much of each robot shows.
-            carried: (7,) position [m] and quaternion of the object, world; None: where it begins.
-            goal: (3,) [m] where it should be; None: not shown.
-        """
-        thing = self.merged.template.body("object")
-        self._data.mocap_pos[-2] = thing.pos if carried is None else carried[:3]
-        self._data.mocap_quat[-2] = thing.quat if carried is None else carried[3:]
-        self._data.mocap_pos[-1] = 0.0 if goal is None else goal
-        self._model.geom_rgba[self._model.geom("goal").id, 3] = 0.0 if goal is None else 0.35
-        drawn: list[int] = []
-        shares = np.zeros(len(self.wardrobe.worn))
-        for k, item in enumerate(self.wardrobe.worn):
-            self._data.mocap_pos[k], self._data.mocap_quat[k] = positions[k], quaternions[k]
-            twins = [j for j in drawn if self.wardrobe.worn[j].mesh == item.mesh and self.wardrobe.worn[j].robot != item.robot
-                     and np.abs(positions[j] - positions[k]).max() < 1e-3]
-            shares[k] = weights[item.robot]
-            if twins:  # arms that robots share: one picture, with the weight of both
-                shares[twins[0]] += shares[k]
-                shares[k] = 0.0
-            drawn.append(k)
-        self._model.geom_rgba[self._worn, 3] = opacity(shares, weights.max())
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
+    def _taken(self) -> np.ndarray:
+        """Picture (height, width, 3), 0 to 255, of the data as they are."""
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(self._model, self._data, self._option, None, self._camera, everything, self._scene)
         picture = np.empty((self.size[1], self.size[0], 3), np.uint8)
@@ -96,14 +56,122 @@ class Studio:
         self._gl.free()
 
 
-def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
+class Studio(_Camera):
+    """Takes pictures of arms with grippers at their table.
+
+    Args:
+        casting: of the merged robot.
+        size: width and height [pixels].
+
+    Raises:
+        ToolkitError: no off-screen rendering here.
+    """
+
+    def __init__(self, casting: ArmCasting, size: tuple[int, int] = (360, 360)) -> None:
+        super().__init__(_studio_model(casting), size)
+        self.casting, self.worn = casting, casting.wardrobe.worn
+        self._drawn = [self._model.geom(f"worn{k}").id for k in range(len(self.worn))]
+        self._camera.lookat[:] = CAMERA["lookat"]
+        self._camera.distance, self._camera.azimuth, self._camera.elevation = CAMERA["distance"], CAMERA["azimuth"], CAMERA["elevation"]
+
+    def take(self, alpha: np.ndarray) -> np.ndarray:
+        """Picture (height, width, 3), 0 to 255, of the robot alpha (D,) at the start posture."""
+        cast = self.casting.standing([alpha])
+        return self.draw(cast.positions[0], cast.quaternions[0], cast.weights[0])
+
+    def shot(self, cast: Cast, frame: int, goal: np.ndarray | None) -> np.ndarray:
+        """Picture of a frame of a cast; of an episode with its object and its goal (3,) [m], else with the object where it begins."""
+        carried = None if goal is None else cast.carried[frame]
+        return self.draw(cast.positions[frame], cast.quaternions[frame], cast.weights[frame], carried, goal)
+
+    def draw(
+        self, positions: np.ndarray, quaternions: np.ndarray, weights: np.ndarray, carried: np.ndarray | None = None,
+        goal: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Picture (height, width, 3), 0 to 255.
+
+        Args:
+            positions, quaternions: (n_worn, 3) [m] and (n_worn, 4), w first, of everything worn, world.
+            weights: (n_robots,) how much of each robot shows.
+            carried: (7,) position [m] and quaternion of the object, world; None: where it begins.
+            goal: (3,) [m] where it should be; None: not shown.
+        """
+        thing = self.casting.merged.template.body("object")
+        self._data.mocap_pos[-2] = thing.pos if carried is None else carried[:3]
+        self._data.mocap_quat[-2] = thing.quat if carried is None else carried[3:]
+        self._data.mocap_pos[-1] = 0.0 if goal is None else goal
+        self._model.geom_rgba[self._model.geom("goal").id, 3] = 0.0 if goal is None else 0.35
+        drawn: list[int] = []
+        shares = np.zeros(len(self.worn))
+        for k, item in enumerate(self.worn):
+            self._data.mocap_pos[k], self._data.mocap_quat[k] = positions[k], quaternions[k]
+            twins = [j for j in drawn if self.worn[j].mesh == item.mesh and self.worn[j].robot != item.robot
+                     and np.abs(positions[j] - positions[k]).max() < 1e-3]
+            shares[k] = weights[item.robot]
+            if twins:  # arms that robots share: one picture, with the weight of both
+                shares[twins[0]] += shares[k]
+                shares[k] = 0.0
+            drawn.append(k)
+        self._model.geom_rgba[self._drawn, 3] = opacity(shares, weights.max())
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        return self._taken()
+
+
+class ModelStudio(_Camera):
+    """Takes pictures of robots of a family in their task's scene.
+
+    Args:
+        casting: of the merged robot.
+        size: width and height [pixels].
+        near: look at the robot, and not at the whole scene.
+
+    Raises:
+        ToolkitError: no off-screen rendering here.
+    """
+
+    def __init__(self, casting: ModelCasting, size: tuple[int, int] = (360, 360), near: bool = True) -> None:
+        model = _lit_model(casting.merged, size)
+        super().__init__(model, size)
+        self.casting = casting
+        self._colours = {geom: geom_colour(model, geom) / 255 for geom, column in casting.geoms.items() if column != ALWAYS}
+        for geom, column in casting.geoms.items():
+            if column == SHAPE:
+                model.geom_group[geom], self._colours[geom][3] = 0, 1.0
+        eye, point = casting.framing.near if near else casting.framing.whole
+        forward = point - eye
+        self._camera.lookat[:], self._camera.distance = point, np.linalg.norm(forward)
+        self._camera.azimuth = np.degrees(np.arctan2(forward[1], forward[0]))
+        self._camera.elevation = np.degrees(np.arctan2(forward[2], np.hypot(forward[0], forward[1])))
+        mujoco.mj_kinematics(model, self._data)
+        mujoco.mj_camlight(model, self._data)
+
+    def take(self, alpha: np.ndarray) -> np.ndarray:
+        """Picture (height, width, 3), 0 to 255, of the robot alpha (D,) where the episode of seed 0 begins."""
+        return self.shot(self.casting.standing([alpha]), 0, None)
+
+    def shot(self, cast: Cast, frame: int, goal: np.ndarray | None) -> np.ndarray:
+        """Picture of a frame of a cast; a goal that the task has is one of the model's sites."""
+        self.casting.pose(cast, frame, self._model, self._data)
+        shares = opacity(cast.weights[frame], cast.weights[frame].max())
+        for geom, colour in self._colours.items():
+            self._model.geom_rgba[geom] = (*colour[:3], colour[3] * shares[self.casting.geoms[geom]])
+        return self._taken()
+
+
+def studio_of(casting: Casting, size: tuple[int, int] = (360, 360), near: bool = True) -> Studio | ModelStudio:
+    """Takes pictures of whatever robots there are; ``near``, of robots of a family, as of ModelStudio."""
+    return ModelStudio(casting, size, near) if isinstance(casting, ModelCasting) else Studio(casting, size)
+
+
+def _studio_model(casting: ArmCasting) -> mujoco.MjModel:
     """Every worn mesh on a body that can be put anywhere; a table, the object, a light background."""
+    merged, wardrobe = casting.merged, casting.wardrobe
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
-    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.visual.headlight.diffuse = [0.55, 0.55, 0.55]
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [AMBIENT] * 3, [DIFFUSE] * 3
     spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-                     rgb1=[0.86, 0.88, 0.91], rgb2=[0.86, 0.88, 0.91], width=64, height=384)
+                     rgb1=SKY, rgb2=SKY, width=64, height=384)
     for index, mesh in enumerate(wardrobe.meshes):
         asset = spec.add_mesh(name=f"mesh{index}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
@@ -111,12 +179,12 @@ def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
         colour = wardrobe.meshes[item.mesh].colours.mean(axis=0) / 255
         body = spec.worldbody.add_body(name=f"worn{k}", mocap=True)
         body.add_geom(name=f"worn{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{item.mesh}", contype=0, conaffinity=0, rgba=colour)
-    for mesh in furniture(merged.space.matching.systems[0].model):
+    for mesh in casting.scenery:
         asset = spec.add_mesh(name=mesh.name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, contype=0, conaffinity=0,
                                 rgba=mesh.colours.mean(axis=0) / 255)
-    thing = body_mesh(merged.template, merged.template.body("object").id)
+    thing = casting.carried
     asset = spec.add_mesh(name="object", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     asset.uservert, asset.userface = thing.vertices.ravel(), thing.faces.ravel().astype(int)
     spec.worldbody.add_body(name="object", mocap=True).add_geom(
@@ -125,6 +193,21 @@ def _studio_model(merged: MergedRobot, wardrobe: Wardrobe) -> mujoco.MjModel:
         name="goal", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[merged.task.goal_tolerance, 0, 0], contype=0, conaffinity=0, rgba=GOAL)
     spec.worldbody.add_light(pos=[0.6, -1.0, 2.6], dir=[-0.3, 0.4, -1.0], castshadow=False)
     return spec.compile()
+
+
+def _lit_model(merged: MergedModel, size: tuple[int, int]) -> mujoco.MjModel:
+    """The source in its scene before a light background; with a light of the camera's where the scene has none."""
+    spec = merged.task.spec(merged.space.robots[0])
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    for texture in [texture for texture in spec.textures if texture.type == sky]:
+        spec.delete(texture)
+    spec.add_texture(name="studio", type=sky, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=SKY, rgb2=SKY, width=64, height=384)
+    if not spec.lights:
+        spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [AMBIENT] * 3, [DIFFUSE] * 3
+    model = spec.compile()
+    model.geom_type[:] = merged.template.geom_type  # spheres that grow into capsules
+    return model
 
 
 def _context(width: int, height: int) -> object:

@@ -12,18 +12,16 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import Wardrobe
-from toolkit.inspection.film import shoot
-from toolkit.inspection.recording.scene import Cast, Casting
-from toolkit.inspection.report.stills import Studio
+from toolkit.inspection.casting import Cast, Casting, casting_of
+from toolkit.inspection.film import Film, PickFilm, shoot
+from toolkit.inspection.report.stills import ModelStudio, Studio, studio_of
 from toolkit.io.jsonfiles import read_object, require
 from toolkit.io.quoting import plain
 from toolkit.learning.policy import GaussianPolicy, MeanActor
-from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, Take, landmarks, load_phases
 from toolkit.runs.run import read_report
-from toolkit.simulation.laws import merged_plant
-from toolkit.simulation.plant import Plant
+from toolkit.simulation.laws import Drivable, merged_plant
 
 SIZE = 720, 540
 """Width and height [pixels]."""
@@ -36,7 +34,7 @@ GIF_EVERY, GIF_WIDTH = 2, 480
 
 
 def write_video(
-    folder: Path, merged: MergedRobot, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Plant], out: Path,
+    folder: Path, merged: Merged, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Drivable], out: Path,
     progress: Callable[[str], None] = lambda what: None,
 ) -> float:
     """Write a run folder as a film.
@@ -46,7 +44,7 @@ def write_video(
         merged: its merged robot in its task.
         tree: as in tree.json.
         policy: any policy of its networks.
-        native: target name -> its unmodified robosuite robot as a plant.
+        native: target name -> the unmodified robot as a plant.
         out: .mp4 or .gif.
         progress: told what is being drawn.
 
@@ -59,9 +57,9 @@ def write_video(
     phases = sorted(load_phases(folder).values(), key=lambda phase: (phase.path, phase.number, phase.stage))
     if not phases:
         raise ToolkitError(f"{folder} keeps no phases to show (an older version's run, or none yet); transfer anew to have a film")
-    wardrobe = Wardrobe(merged.space.matching)
-    studio = Studio(merged, wardrobe, SIZE)
-    scenes = _scenes(_Stage(folder, merged, policy, native, Casting(merged, wardrobe)), phases, progress)
+    casting = casting_of(merged)
+    studio = studio_of(casting, SIZE, near=False)
+    scenes = _scenes(_Stage(folder, merged, policy, native, casting), phases, progress)
     pictures = (picture for scene in scenes for picture in _drawn(studio, *scene))
     try:
         count = _write_gif(out, pictures) if out.suffix.lower() == ".gif" else _write_mp4(out, pictures)
@@ -74,10 +72,10 @@ class _Stage:
     """What it takes to play a run's scenes; arguments as of ``write_video``."""
 
     def __init__(
-        self, folder: Path, merged: MergedRobot, policy: GaussianPolicy, native: Callable[[str], Plant], casting: Casting
+        self, folder: Path, merged: Merged, policy: GaussianPolicy, native: Callable[[str], Drivable], casting: Casting
     ) -> None:
         self.folder, self.merged, self.policy, self.native, self.casting = folder, merged, policy, native, casting
-        self._plants: dict[str, Plant] = {}
+        self._plants: dict[str, Drivable] = {}
 
     def turning(self, phases: list[Phase]) -> Cast:
         """The robots of a path's phases, evenly by distance."""
@@ -87,18 +85,22 @@ class _Stage:
         alphas = np.stack([np.interp(spots, reach, corners[:, k]) for k in range(corners.shape[1])], axis=1)
         return self.casting.standing(np.clip(alphas, 0.0, 1.0))
 
-    def episode(self, phase: Phase, take: Take) -> tuple[Cast, np.ndarray, str]:
-        """An episode played again: its robot, its goal (3,) [m], and how it ended."""
+    def episode(self, phase: Phase, take: Take) -> tuple[Cast, np.ndarray | None, str]:
+        """An episode played again: its robot, its goal (3,) [m] if it is a pick, and how it ended."""
         policy = phase.play_as(take, self.policy)
         actor = policy.act if take.noise else MeanActor(policy)
         if phase.stage == "evolve":
             film = shoot(merged_plant(self.merged, take.alpha, *self.merged.new()), actor, take.seed, take.alpha)
-            return self.casting.playing(film, take.alpha), film.goal, film.verdict()
+            return self.casting.playing(film, take.alpha), _goal(film), film.verdict()
         name = phase.targets[0]
         if name not in self._plants:
             self._plants[name] = self.native(name)
         film = shoot(self._plants[name], actor, take.seed, take.alpha)
-        return self.casting.native(film, name), film.goal, film.verdict()
+        return self.casting.native(film, name), _goal(film), film.verdict()
+
+
+def _goal(film: Film) -> np.ndarray | None:
+    return film.goal if isinstance(film, PickFilm) else None
 
 
 Scene = tuple[Cast, np.ndarray | None, str, Iterator[int]]
@@ -107,7 +109,7 @@ Scene = tuple[Cast, np.ndarray | None, str, Iterator[int]]
 
 def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None]) -> Iterator[Scene]:
     rest = [0] * int(RATE * REST)
-    names = stage.merged.space.matching.names
+    names = stage.merged.space.names
     report = read_report(stage.folder, ("targets",))
     source = stage.casting.standing(stage.merged.space.betas[:1])
     yield source, None, f"{names[0]}, the source, to {', '.join(names[1:])}\n{_untrained(stage.folder)}", iter(rest * 3)
@@ -143,7 +145,7 @@ def _untrained(folder: Path) -> str:
     return f"untrained on the unmodified robots: {', '.join(rates)}" if rates else ""
 
 
-def _drawn(studio: Studio, cast: Cast, goal: np.ndarray | None, text: str, frames: Iterator[int]) -> Iterator[Image.Image]:
+def _drawn(studio: Studio | ModelStudio, cast: Cast, goal: np.ndarray | None, text: str, frames: Iterator[int]) -> Iterator[Image.Image]:
     """A scene's pictures; one that stands still is drawn once."""
     before, picture = None, None
     for frame in frames:
@@ -152,9 +154,8 @@ def _drawn(studio: Studio, cast: Cast, goal: np.ndarray | None, text: str, frame
         yield picture
 
 
-def _captioned(studio: Studio, cast: Cast, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
-    carried = None if goal is None else cast.carried[frame]
-    picture = Image.fromarray(studio.draw(cast.positions[frame], cast.quaternions[frame], cast.weights[frame], carried, goal))
+def _captioned(studio: Studio | ModelStudio, cast: Cast, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
+    picture = Image.fromarray(studio.shot(cast, frame, goal))
     pen, font = ImageDraw.Draw(picture), ImageFont.load_default(size=19)
     for line, words in enumerate(text.split("\n")):
         pen.text((16, 12 + 26 * line), plain(words), fill=(25, 28, 34), font=font)
