@@ -17,6 +17,7 @@ from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.lab import Merged
 from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, SETTLED, SQUEEZE, become_box, clamp, jaws_meet
 from toolkit.morphology.matching import CUBE, System
 from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
@@ -334,7 +335,7 @@ def drift(mine: Side, own: Side) -> float:
     return worst
 
 
-def become_milliseconds(merged: MergedRobot) -> float:
+def become_milliseconds(merged: Merged) -> float:
     """Median time [ms] of F in place, over changes from robot to robot in turn."""
     model, data = merged.new()
     betas, took = merged.space.betas, []

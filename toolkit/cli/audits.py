@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from toolkit.cli.inspection import known_run
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, make_lab
+from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_pick, make_lab, transfer_config
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 
@@ -45,6 +45,7 @@ def audit(
     """
     if robots < 2 or episodes < 0:
         raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
+    find_pick(task if run is None else transfer_config(run)["task"])
     from toolkit.capability.audit import QUANTITIES, run_audit, verdict, ways_in, ways_of
 
     with Progress("audit", quiet=json) as progress:

@@ -279,7 +279,7 @@ def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
 
 def morph(
     out: Path, source: str = "adroit", targets: tuple[str, ...] = TARGETS, task: str = TASK, still: Path | None = None,
-    at: float | None = None, size: str = "1600x1000",
+    at: float | None = None, size: str = "1600x1000", lineup: Path | None = None,
 ) -> None:
     """Record the source turning into each target along the evolution tree, for the Rerun viewer; no policy is needed.
 
@@ -287,18 +287,25 @@ def morph(
         out: the .rrd file.
         source: the robot that turns.
         targets: what it turns into.
-        task: what lies on the table.
+        task: what they do, or what lies on the table.
         still: also save a picture of it (PNG).
         at: moment of the still [s].
         size: of the still, WIDTHxHEIGHT.
+        lineup: also draw the source and the targets side by side (PNG), for which no viewer is needed.
     """
     room_for(still, STILLS)
+    room_for(lineup, STILLS)
     lab = make_lab(source, targets, task)
     from toolkit.inspection.recording import shows, viewer
 
     shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
         viewer.still([out], still, _last(out, at), size)
+    if lineup is not None:
+        from toolkit.inspection.casting import casting_of
+        from toolkit.inspection.report.stills import line_up
+
+        line_up(casting_of(lab.merged), lab.space.names, lab.space.betas, lineup)
     print(f"{out}; look at it with: {told('view', out)}")
 
 

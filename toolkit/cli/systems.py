@@ -4,12 +4,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TASK, all_robots, broken_cards, find_robot, find_task, make_lab
+from toolkit.cli.names import TASK, all_robots, broken_cards, family_of, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, emit, room_for, short, table
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from robots.robot import Robot
+    from tasks.task import ModelTask
     from toolkit.morphology.lab import Lab
     from toolkit.morphology.matching import Matching
 
@@ -65,6 +66,7 @@ def _check(robot: "Robot", json: bool) -> None:
 def match(
     source: str = "adroit",
     targets: tuple[str, ...] = (),
+    task: str = TASK,
     theta: bool = False,
     plot: Path | None = None,
     episodes: int = 0,
@@ -74,7 +76,8 @@ def match(
 
     Args:
         source: the robot that the expert was trained on.
-        targets: where the policy should go; default: every system that is no source.
+        targets: where the policy should go; default: every system that is no source, of a family's task every other robot of it.
+        task: in whose scene they stand; of robots that are changes of one model, as of ant-maze, the dimensions are listed.
         theta: list every parameter of the evolution space, and what the quantities mean.
         plot: draw the merged tree into this file (PNG, PDF or SVG).
         episodes: let the source's expert play so many on the merged source and on the source robot itself, from the same seeds.
@@ -83,10 +86,17 @@ def match(
     if episodes < 0:
         raise ToolkitError(f"episodes is {episodes}; give 0 to play none")
     room_for(plot)
+    what = find_task(task)
+    from tasks.task import ModelTask
+
+    if isinstance(what, ModelTask):
+        others = tuple(robot.name for robot in family_of(what) if robot.name != source)
+        _match_family(source, targets or others, what, theta, plot, episodes, json)
+        return
     every = not targets
     targets = targets or tuple(name for name, robot in all_robots().items() if not robot.source_of_policy and name != source)
     with Progress("match", quiet=json) as progress:
-        lab = make_lab(source, targets, TASK)
+        lab = make_lab(source, targets, task)
         from toolkit.benchmarks.parity import become_milliseconds, parity
         from toolkit.inspection.merged_tree import plot_merged_tree
         from toolkit.morphology.quantities import QUANTITIES
@@ -115,21 +125,68 @@ def match(
         _say_broken()
 
 
+def _match_family(
+    source: str, targets: tuple[str, ...], task: "ModelTask", theta: bool, plot: Path | None, episodes: int, json: bool
+) -> None:
+    """``match`` of robots that are changes of one model: they are matched by names, so that all that there is to say is their space."""
+    if plot is not None:
+        raise ToolkitError(f"robots of the family {task.family} have one kinematic tree, so that none is merged; leave out --plot")
+    from toolkit.benchmarks.parity import become_milliseconds
+
+    with Progress("match", quiet=json) as progress:
+        lab = make_lab(source, targets, task.name)
+        milliseconds = become_milliseconds(lab.merged)
+        if episodes:
+            progress.show("match", f"{episodes} episodes on the merged {source} and on the unmodified one", now=True)
+        survival = _survival(lab, episodes) if episodes else []
+    space = lab.space
+    moved: dict[int, list[str]] = {}
+    for parameter in space.parameters:
+        moved.setdefault(parameter.dimension, []).append(parameter.name)
+    content = {"D": space.size, "source": source, "task": task.name, "parameters": len(space.parameters), "become_ms": milliseconds,
+               "robots": [{"name": name, "alpha": space.beta(name).tolist()} for name in space.names], "expert": survival}
+    if theta:
+        content["theta"] = space.describe()
+    if json:
+        emit(content, True, "")
+        return
+    _say_space(content)
+    table("Dimensions", ["", "first of its parameters", "parameters", *space.names],
+          [[k, names[0], len(names), *(f"{beta[k]:.3g}" for beta in space.betas)] for k, names in sorted(moved.items())])
+    _say_survival(content)
+    if theta:
+        _show_theta(content)
+
+
+def _say_space(found: dict) -> None:
+    print(f"Evolution space: D = {found['D']} dimensions move {found['parameters']} parameters.")
+    print(f"Any of its robots is made of any other in {found['become_ms']:.2f} ms (median).")
+
+
+def _say_survival(found: dict) -> None:
+    for played in found["expert"]:
+        where, (low, high) = "F(beta)" if played["env"] == "merged" else "the unmodified robot", played["ci95"]
+        print(f"{found['source']}'s expert on {where}: {played['successes']} of {played['episodes']} episodes succeed "
+              f"(95 % interval {low:.3f} to {high:.3f}).")
+
+
+def _show_theta(found: dict) -> None:
+    names = [robot["name"] for robot in found["robots"]]
+    table("theta", ["parameter", "unit", "dimension", *names],
+          [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())] for p in found["theta"]])
+
+
 def _show_match(matching: "Matching", found: dict) -> None:
     """What ``match`` found, for people."""
     figures, names = found["robots"], matching.names
-    print(f"Evolution space: D = {found['D']} dimensions move {found['parameters']} parameters.")
-    print(f"Any of its robots is made of any other in {found['become_ms']:.2f} ms (median).")
+    _say_space(found)
     brief = lambda value: f"{value:.0e}" if 0.0 < value < 1e-3 else f"{value:.2g}"  # noqa: E731
     rows = [[figure.replace("_", " "), *(brief(f[figure]) for f in figures)] for figure in figures[0] if figure != "name"]
     table("Merged robot against the robosuite robot", ["figure", *(f["name"] for f in figures)], rows)
     dropped = [f"{name} {count}" for name, count in found["dropped_meshes"].items() if count]
     if dropped:
         print(f"Collision meshes that the merged grippers go without, touching by their primitives: {', '.join(dropped)}.")
-    for played in found["expert"]:
-        where, (low, high) = "F(beta)" if played["env"] == "merged" else "the robosuite robot", played["ci95"]
-        print(f"{found['source']}'s expert on {where}: {played['successes']} of {played['episodes']} episodes succeed "
-              f"(95 % interval {low:.3f} to {high:.3f}).")
+    _say_survival(found)
     slots = matching.slots
     rows = [
         [slot.name, slots[slot.parent].name if slot.parent >= 0 else "world", *("yes" if s.present(i) else "-" for s in matching.systems)]
@@ -140,8 +197,7 @@ def _show_match(matching: "Matching", found: dict) -> None:
           [[p.robot, p.joint, p.slot, p.proposed or "-", origin(p)] for p in matching.pairs])
     table("Matched joints", ["joint", "parent", *names], rows)
     if "theta" in found:
-        table("theta", ["parameter", "unit", "dimension", *names],
-              [[p["name"], p["unit"], p["dimension"], *(short(v) for v in p["values"].values())] for p in found["theta"]])
+        _show_theta(found)
         table("What the quantities are", ["quantity", "meaning"], list(found["quantities"].items()))
 
 
@@ -151,11 +207,11 @@ def _survival(lab: "Lab", episodes: int) -> list[dict]:
     from toolkit.expert.shelf import load_expert
     from toolkit.simulation.rollout import RolloutEngine
 
-    policy, _ = load_expert(lab.source.name, find_task(TASK))
+    policy, _ = load_expert(lab.source.name, lab.task)
     engine = RolloutEngine(lab.merged)
     played = [
         evaluate_merged(policy, engine, lab.source.name, episodes),
-        evaluate_compiled(policy, lab.source, find_task(TASK), episodes),
+        evaluate_compiled(policy, lab.source, lab.task, episodes),
     ]
     engine.close()
     return [evaluation.to_json() for evaluation in played]

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TARGETS, Kind, Metric, find_robot
+from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_pick, find_robot, find_task
 from toolkit.cli.terminal import emit, room_for, table
 from toolkit.errors import ToolkitError
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 def tree(
     source: str = "adroit",
     targets: tuple[str, ...] = TARGETS,
+    task: str = TASK,
     points: Path | None = None,
     metric: Metric = "l1",
     kind: Kind = "steiner",
@@ -29,6 +30,7 @@ def tree(
     Args:
         source: the robot that the expert was trained on.
         targets: where the policy should go.
+        task: in whose scene robots stand that are changes of one model, as ant-maze; of arms with grippers the tree is the same in all.
         points: read source and targets from a JSON file instead: {"source": {"name", "alpha"}, "targets": [...]}.
         metric: distance between robots.
         kind: steiner (shortest tree), geometric-median (one meta robot) or independent (one path per target).
@@ -48,11 +50,13 @@ def tree(
         start, goals = load_points(points)
     else:
         systems = [find_robot(name) for name in (source, *targets)]
-        from toolkit.morphology.lab import check_roles
+        what = find_pick(task) if arms else find_task(task)
+        from toolkit.morphology.lab import check_players, check_roles
         from toolkit.morphology.survey import as_points, compare_arms
 
         check_roles(systems[0], systems[1:])
-        start, *goals = as_points(systems)
+        check_players(systems, what)
+        start, *goals = as_points(systems, what)
         if arms:
             more["arms"] = [asdict(cost) for cost in compare_arms(systems[0], systems[1:], metric)]
     found = evolution_tree(start, goals, metric, kind, effort)

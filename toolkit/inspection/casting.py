@@ -32,7 +32,7 @@ BONE_SHARE = 0.35
 """Bones are drawn this much thinner than they are, inside the meshes."""
 SKIN, SHAPE, ALWAYS = 0, 1, 2
 """Of a family: columns of the weights of meshes that fade, of the shapes into which they fade, and of everything else."""
-AROUND, LOWER = 50.0, 0.45
+AROUND, LOWER = 50.0, 0.8
 """[deg] by which one looks at a robot from further round than at its scene, and share of the scene's elevation."""
 DISTANCE = 1.3
 """Of the eye, in diagonals of what is looked at: a field of view of 45 degrees holds its ball at 1.3."""

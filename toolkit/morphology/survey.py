@@ -7,8 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from robots.robot import Robot
+from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Metric, Terminal, evolution_tree
+from toolkit.morphology.family import FamilySpace
+from toolkit.morphology.lab import System
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 
@@ -42,10 +45,10 @@ class Cost:
         return cls(tree.nodes[0].name, arm, targets, tree.length, tree.independent_length, tree.ratio, tree.optimal)
 
 
-def as_points(robots: Sequence[Robot]) -> list[Terminal]:
-    """Robots as points of the one evolution space that they span; the first is the source."""
-    space = EvolutionSpace(match(list(robots)))
-    return [Terminal(name, space.beta(name)) for name in space.matching.names]
+def as_points(robots: Sequence[System], task: Task | None = None) -> list[Terminal]:
+    """Robots as points of the one evolution space that they span, a family's in its task; the first is the source."""
+    space = FamilySpace(robots, task) if isinstance(task, ModelTask) else EvolutionSpace(match(list(robots)))
+    return [Terminal(name, space.beta(name)) for name in space.names]
 
 
 def hand_on_arms(source: Robot, targets: Sequence[Robot]) -> list[Robot]:

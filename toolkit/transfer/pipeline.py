@@ -295,7 +295,9 @@ class Pipeline:
                 for edge in edges if edge.get("first") in SIDES}
 
     def _stalled(self, branch: Branch) -> None:
-        """Ask of a path whose budget is spent what changes on the robots where it stands."""
+        """Ask of a path whose budget is spent what changes on the robots where it stands, if that can be measured."""
+        if not isinstance(self.lab.merged, MergedRobot):
+            return
         ahead = self.transfer.way.evolution_tree(branch).meta_alpha if branch.next_alpha is None else branch.next_alpha
         if np.linalg.norm(ahead - branch.alpha) > 1e-9:
             audit = Audit(self.lab.merged, brief=True)

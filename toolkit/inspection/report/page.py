@@ -75,7 +75,7 @@ def write_report(folder: Path, merged: Merged, tree: dict[str, Any], out: Path |
     pictures["parameters"] = figures.png(figures.heat_figure(merged.space, {
         name: np.array(node["alpha"]) for name, node in plan.nodes.items() if node["kind"] != "meta"}))
     audit = read_audit(folder)
-    if audit is not None:
+    if audit is not None and audit["edges"]:
         pictures["audit"] = figures.png(audit_figure(audit["edges"]))
     missing = unread
     try:
@@ -150,7 +150,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     if audit is not None:
         legend = ("What the robots of every edge can do, without any policy: dots are its ends, crosses robots that are worse than the "
                   "ends allow; what they allow is grey.")
-        parts += [f"<p>{html.escape(audit['verdict'])}</p>", _figure(pictures, "audit", legend)]
+        parts += [f"<p>{html.escape(audit['verdict'])}</p>", *([_figure(pictures, "audit", legend)] if "audit" in pictures else [])]
     parts += [f'<p class="note">{html.escape(f"{path}: {why}")}</p>' for path, why in ((report or {}).get("stalls") or {}).items()]
     parts += [f'<p class="note">{html.escape(why)}</p>' for why in missing]
     parts += [_figure(pictures, name, "") for name in pictures if name.startswith("morph-")]

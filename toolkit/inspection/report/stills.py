@@ -1,19 +1,24 @@
 """Robots rendered off screen by MuJoCo: one robot fading into another, and what they carry where."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from toolkit.errors import ToolkitError
 from toolkit.inspection.appearance import geom_colour
 from toolkit.inspection.casting import ALWAYS, SHAPE, ArmCasting, Cast, Casting, ModelCasting
 from toolkit.inspection.furniture import opacity
+from toolkit.io.quoting import plain
 from toolkit.morphology.family import MergedModel
 
 CAMERA = {"lookat": (-0.27, 0.0, 1.15), "distance": 1.35, "azimuth": 125.0, "elevation": -18.0}
 """Where the picture is taken from: [m], [m], [deg], [deg]."""
+LINED_UP = 280, 280
+"""Width and height [pixels] of each of the robots that are lined up."""
 SKY, AMBIENT, DIFFUSE = [0.86, 0.88, 0.91], 0.45, 0.55
 """Colour of the background, and brightness of the camera's own light."""
 GOAL = (0.0, 0.62, 0.45, 0.35)
@@ -162,6 +167,37 @@ class ModelStudio(_Camera):
 def studio_of(casting: Casting, size: tuple[int, int] = (360, 360), near: bool = True) -> Studio | ModelStudio:
     """Takes pictures of whatever robots there are; ``near``, of robots of a family, as of ModelStudio."""
     return ModelStudio(casting, size, near) if isinstance(casting, ModelCasting) else Studio(casting, size)
+
+
+def write_on(picture: Image.Image, place: tuple[int, int], text: str, size: int) -> None:
+    """Write a line at a place [pixels], dark with a rim of the background's colour, so that it is read on dark ground too."""
+    rim = tuple(round(255 * part) for part in SKY)
+    ImageDraw.Draw(picture).text(place, plain(text), fill=(25, 28, 34), font=ImageFont.load_default(size=size), stroke_width=3,
+                                 stroke_fill=rim)
+
+
+def line_up(casting: Casting, names: Sequence[str], betas: np.ndarray, out: Path) -> None:
+    """Draw robots side by side, each with its name, into a PNG.
+
+    Args:
+        casting: of the merged robot.
+        names, betas: of the robots, (n_robots, D).
+        out: the file.
+
+    Raises:
+        ToolkitError: no off-screen rendering here, or the file cannot be written.
+    """
+    studio = studio_of(casting, LINED_UP)
+    try:
+        row = Image.fromarray(np.concatenate([studio.take(beta) for beta in betas], axis=1))
+    finally:
+        studio.close()
+    for k, name in enumerate(names):
+        write_on(row, (k * LINED_UP[0] + 10, 8), name, 17)
+    try:
+        row.quantize(128).save(out)
+    except OSError as error:
+        raise ToolkitError(f"{out} cannot be written ({error.strerror or error}); free space there, or choose another place") from None
 
 
 def _studio_model(casting: ArmCasting) -> mujoco.MjModel:

@@ -9,14 +9,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from toolkit.errors import ToolkitError
 from toolkit.inspection.casting import Cast, Casting, casting_of
 from toolkit.inspection.film import Film, PickFilm, shoot
-from toolkit.inspection.report.stills import ModelStudio, Studio, studio_of
+from toolkit.inspection.report.stills import ModelStudio, Studio, studio_of, write_on
 from toolkit.io.jsonfiles import read_object, require
-from toolkit.io.quoting import plain
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, Take, landmarks, load_phases
@@ -156,9 +155,8 @@ def _drawn(studio: Studio | ModelStudio, cast: Cast, goal: np.ndarray | None, te
 
 def _captioned(studio: Studio | ModelStudio, cast: Cast, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
     picture = Image.fromarray(studio.shot(cast, frame, goal))
-    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(size=19)
     for line, words in enumerate(text.split("\n")):
-        pen.text((16, 12 + 26 * line), plain(words), fill=(25, 28, 34), font=font)
+        write_on(picture, (16, 12 + 26 * line), words, 19)
     return picture
 
 
