@@ -38,6 +38,22 @@ MOUNT_JOINTS = {
 }
 """Joints of the forearm's mount: slides ART [m], hinges ARR [rad]; the robot's own, in the task's scene."""
 
+Ranges = tuple[tuple[float, float], ...]
+STARTS: dict[str, Ranges] = {
+    "door": ((-0.3, -0.2), (0.25, 0.35), (0.252, 0.35)),
+    "hammer": ((0.1, 0.25),),
+    "relocate": ((-0.15, 0.15), (-0.15, 0.3), (-0.2, 0.2), (-0.2, 0.2), (0.15, 0.35)),
+}
+"""What is drawn for an episode [m], in gymnasium-robotics' order: x, y, z of the door's frame; the board's height; x, y of the ball and
+x, y, z of where it shall be."""
+LIGHT_STARTS: dict[str, Ranges] = STARTS | {
+    "hammer": ((0.1, 0.15),),
+    "relocate": ((-0.1, 0.1), (-0.1, 0.1), (-0.1, 0.1), (-0.1, 0.1), (0.15, 0.35)),
+}
+"""The same in Meta-Evolve's released code."""
+LIGHTER = 5.0
+"""By which that divides the masses of hammer and ball."""
+
 OPEN = 1.35
 """Angle [rad] of the door from which on it counts as open."""
 AJAR = 1.0
@@ -78,10 +94,11 @@ class _Scene(Scene):
     Args:
         model: of any hand in the task's scene.
         data: of that model.
+        starts: of STARTS.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self.model, self.data = model, data
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, starts: Ranges) -> None:
+        self.model, self.data, self._starts = model, data, starts
         self._limited = np.flatnonzero(model.jnt_limited)
         self._addresses = model.jnt_qposadr[self._limited]
         self._palm = model.site("S_grasp").id
@@ -107,14 +124,13 @@ class _Scene(Scene):
 class DoorScene(_Scene):
     """A door with a latch, at a place that is drawn."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        super().__init__(model, data)
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, starts: Ranges) -> None:
+        super().__init__(model, data, starts)
         self._frame, self._handle = model.body("frame").id, model.site("S_handle").id
         self._hinge = model.joint("door_hinge").qposadr[0]
 
     def _place(self, rng: np.random.Generator) -> None:
-        for axis, (low, high) in enumerate(((-0.3, -0.2), (0.25, 0.35), (0.252, 0.35))):
-            self.model.body_pos[self._frame, axis] = rng.uniform(low, high)
+        self.model.body_pos[self._frame] = [rng.uniform(low, high) for low, high in self._starts]
 
     def observe(self) -> np.ndarray:
         """The record (39,)."""
@@ -135,14 +151,14 @@ class DoorScene(_Scene):
 class HammerScene(_Scene):
     """A hammer on the table, and a nail in a board whose height is drawn."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        super().__init__(model, data)
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, starts: Ranges) -> None:
+        super().__init__(model, data, starts)
         self._board, self._hammer = model.body("nail_board").id, model.body("Object").id
         self._nail, self._goal = model.site("S_target").id, model.site("nail_goal").id
         self._force = model.sensor("S_nail").adr[0]
 
     def _place(self, rng: np.random.Generator) -> None:
-        self.model.body_pos[self._board, 2] = rng.uniform(0.1, 0.25)
+        self.model.body_pos[self._board, 2] = rng.uniform(*self._starts[0])
 
     def observe(self) -> np.ndarray:
         """The record (46,)."""
@@ -163,15 +179,13 @@ class HammerScene(_Scene):
 class RelocateScene(_Scene):
     """A ball on the table and a place in the air, both drawn."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        super().__init__(model, data)
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, starts: Ranges) -> None:
+        super().__init__(model, data, starts)
         self._ball, self._target = model.body("Object").id, model.site("target").id
 
     def _place(self, rng: np.random.Generator) -> None:
-        self.model.body_pos[self._ball, 0] = rng.uniform(-0.15, 0.15)
-        self.model.body_pos[self._ball, 1] = rng.uniform(-0.15, 0.3)
-        for axis, (low, high) in enumerate(((-0.2, 0.2), (-0.2, 0.2), (0.15, 0.35))):
-            self.model.site_pos[self._target, axis] = rng.uniform(low, high)
+        drawn = [rng.uniform(low, high) for low, high in self._starts]
+        self.model.body_pos[self._ball, :2], self.model.site_pos[self._target] = drawn[:2], drawn[2:]
 
     def observe(self) -> np.ndarray:
         """The record (39,)."""
@@ -199,19 +213,44 @@ def _joints(names: tuple[str, ...]) -> dict[str, int]:
     return {f"joint/{name}": 1 for name in names}
 
 
+def _lighten(spec: mujoco.MjSpec, task: str) -> None:
+    """Make a scene the easier one of Meta-Evolve's released code: hard contacts without a margin, a light hammer balanced in the hand, a
+    nail that slides, a light short rod in place of the ball."""
+    for geom in spec.geoms:
+        geom.margin, geom.solref[:2], geom.solimp = 0.0, (0.02, 1.0), (0.999, 0.9999, 0.001, 0.01, 6.0)
+        if geom.name.startswith("V_"):
+            geom.contype = geom.conaffinity = 0  # two boxes of 1 mm are no mere pictures
+    palm = spec.geom("C_lfmetacarpal")
+    palm.size, palm.pos = (0.011, 0.0111, 0.033), (-0.015, 0.0, 0.01)
+    if task == "door":
+        return
+    body = spec.body("Object")
+    body.mass, body.inertia = body.mass / LIGHTER, body.inertia / LIGHTER
+    if task == "hammer":
+        body.ipos = (0.0, 0.0, 0.0)
+        nail = spec.joint("nail_dir")
+        nail.frictionloss, nail.range = 0.5, (-0.01, 0.095)
+    else:
+        ball = spec.geom("sphere")
+        ball.type, ball.size, ball.quat = mujoco.mjtGeom.mjGEOM_CAPSULE, (0.03, 0.02, 0.0), (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class HandTask(ModelTask):
     """A task of the suite.
 
     Attributes:
+        kind: "door", "hammer" or "relocate".
         environment_class: of gymnasium-robotics, by its name.
         scene_class: reads and places what is in it.
+        light: the easier scene of Meta-Evolve's released code, for comparison with it, named "<kind>-light".
     """
 
-    name: str
+    kind: str
     observation: Mapping[str, int]
     environment_class: str
     scene_class: type[_Scene]
+    light: bool = False
     horizon: int = HORIZON
     control_frequency: float = CONTROL_FREQUENCY
     substeps: int = SUBSTEPS
@@ -220,19 +259,24 @@ class HandTask(ModelTask):
     consecutive = False
 
     @property
+    def name(self) -> str:
+        """On the command line."""
+        return self.kind + ("-light" if self.light else "")
+
+    @property
     def hold_steps(self) -> int:
         """HOLD_STEPS."""
-        return HOLD_STEPS[self.name]
+        return HOLD_STEPS[self.kind]
 
     @property
     def action(self) -> dict[str, int]:
         """One servo's target each: -1 and +1 are the ends of its range."""
-        return {f"servo/{name}": 1 for name in (*MOUNT_JOINTS[self.name], *HAND_JOINTS)}
+        return {f"servo/{name}": 1 for name in (*MOUNT_JOINTS[self.kind], *HAND_JOINTS)}
 
     @property
     def observation_scale(self) -> np.ndarray:
         """SPREAD."""
-        return np.array(SPREAD[self.name])
+        return np.array(SPREAD[self.kind])
 
     @property
     def explored(self) -> np.ndarray:
@@ -254,56 +298,62 @@ class HandTask(ModelTask):
 
         if robot.family.name != self.family:
             raise ValueError(f"{robot.name} is of the family {robot.family.name}; {self.name} is played by {self.family}")
-        spec = mujoco.MjSpec.from_file(str(asset_path() / f"adroit_{self.name}.xml"))
+        spec = mujoco.MjSpec.from_file(str(asset_path() / f"adroit_{self.kind}.xml"))
+        if self.light:
+            _lighten(spec, self.kind)
         robot.change(spec)
         return spec
 
     def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> Scene:
         """The scene of a model that ``spec`` made, or of one in between."""
-        return self.scene_class(model, data)
+        return self.scene_class(model, data, (LIGHT_STARTS if self.light else STARTS)[self.kind])
 
     def environment(self, robot: ModelRobot) -> Any:
-        """gymnasium-robotics' environment, sparsely rewarded, with this robot in it; ``step``, ``reset`` and what they observe are its own.
+        """gymnasium-robotics' environment, sparsely rewarded, with this robot in it; ``step`` and what it observes are its own.
 
-        Episodes begin where a scene's do: a joint that cannot be at zero at the end of its range.
+        Episodes begin as a scene's do: on the unmodified robot just as gymnasium-robotics', on others with a joint that cannot be at zero
+        at the end of its range.
         """
+        import farama_notifications
+
+        farama_notifications.notifications.pop("gymnasium_robotics", None)  # printed at the import; speaks of rewards that are not used
         from gymnasium_robotics.envs import adroit_hand
 
-        model = self.spec(robot).compile()
+        task, model = self, self.spec(robot).compile()
 
         class Environment(getattr(adroit_hand, self.environment_class)):
             def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-                return model, mujoco.MjData(model)
+                data = mujoco.MjData(model)
+                self._begun = task.scene(model, data)
+                return model, data
 
-        environment = Environment(reward_type="sparse")
-        self.scene(model, environment.data).begin(np.random.default_rng(0))
-        environment.init_qpos = environment.data.qpos.copy()
-        return environment
+            def reset_model(self) -> np.ndarray:
+                self._begun.begin(self.np_random)
+                return self._get_obs()
+
+        return Environment(reward_type="sparse")
 
 
-CARDS: dict[str, HandTask] = {
-    task.name: task
-    for task in (
-        HandTask(
-            "door",
-            _joints((*MOUNT_JOINTS["door"][1:], *HAND_JOINTS))
-            | {"latch": 1, "hinge": 1, "palm": 3, "handle": 3, "palm_from_handle": 3, "ajar": 1},
-            "AdroitHandDoorEnv", DoorScene,
-        ),
-        HandTask(
-            "hammer",
-            _joints((*MOUNT_JOINTS["hammer"], *HAND_JOINTS))
-            | {"nail_depth": 1, "hammer_velocity": 3, "hammer_rates": 3, "palm": 3, "hammer": 3, "hammer_angles": 3, "nail": 3,
-               "nail_force": 1},
-            "AdroitHandHammerEnv", HammerScene,
-        ),
-        HandTask(
-            "relocate",
-            _joints((*MOUNT_JOINTS["relocate"], *HAND_JOINTS))
-            | {"palm_from_ball": 3, "palm_from_target": 3, "ball_from_target": 3},
-            "AdroitHandRelocateEnv", RelocateScene,
-        ),
-    )
-}
+_KINDS = (
+    (
+        "door",
+        _joints((*MOUNT_JOINTS["door"][1:], *HAND_JOINTS))
+        | {"latch": 1, "hinge": 1, "palm": 3, "handle": 3, "palm_from_handle": 3, "ajar": 1},
+        "AdroitHandDoorEnv", DoorScene,
+    ),
+    (
+        "hammer",
+        _joints((*MOUNT_JOINTS["hammer"], *HAND_JOINTS))
+        | {"nail_depth": 1, "hammer_velocity": 3, "hammer_rates": 3, "palm": 3, "hammer": 3, "hammer_angles": 3, "nail": 3,
+           "nail_force": 1},
+        "AdroitHandHammerEnv", HammerScene,
+    ),
+    (
+        "relocate",
+        _joints((*MOUNT_JOINTS["relocate"], *HAND_JOINTS)) | {"palm_from_ball": 3, "palm_from_target": 3, "ball_from_target": 3},
+        "AdroitHandRelocateEnv", RelocateScene,
+    ),
+)
+CARDS: dict[str, HandTask] = {task.name: task for light in (False, True) for task in (HandTask(*kind, light) for kind in _KINDS)}
 """Units: joints, latch, hinge and angles [rad] (slides [m]), positions [m] in the world's axes, velocities [m/s, rad/s] cut to +-1, force
 [N] cut to +-1, ajar -1 or +1."""
