@@ -218,7 +218,7 @@ def test_an_arm_is_held_where_it_could_no_longer_stop_in_its_box(bundle, form):
     speed, top = rising[row - 1], float(path[row, 2]) + 0.001
     distances = tuple(BrakingDistance(form, share * speed, 0.08 * share, 0.4) for share in (0.5, 2.0))
 
-    def first_fault(braking):
+    def first_fault(braking, period=0.05):
         version = 5 if braking else 4
         low, high = np.array(m.cartesian.low) - 1.0, np.array(m.cartesian.high) + 1.0
         high[2] = top - OVERSHOOT + 0.06
@@ -226,12 +226,12 @@ def test_an_arm_is_held_where_it_could_no_longer_stop_in_its_box(bundle, form):
         tight = dataclasses.replace(m, cartesian=box, braking=braking, format_version=version, holds=())
         runtime = Runtime(dataclasses.replace(bundle, manifest=tight), info_of(m), form, policy=lambda observation: np.zeros(7))
         for i in range(row + 1):
-            state = State(0.05 * i, g["episode_joints"][i], g["episode_object_position"][i], g["episode_object_quaternion"][i],
+            state = State(period * i, g["episode_joints"][i], g["episode_object_position"][i], g["episode_object_quaternion"][i],
                           g["episode_goal"], g["episode_fingers"][i])
             if i == 0:
                 assert runtime.begin(state, 0.0) is None
             runtime.motion.tracking = lambda joints: 0.0  # the arm of the recording does not follow this policy
-            fault = runtime.tick(state, 0.05 * i).fault
+            fault = runtime.tick(state, period * i).fault
             if fault:
                 return i, fault
         return None, None
@@ -239,6 +239,8 @@ def test_an_arm_is_held_where_it_could_no_longer_stop_in_its_box(bundle, form):
     assert first_fault(None)[1] is None
     when, fault = first_fault(Braking(distances, -1.0))
     assert when is not None and fault.kind == "workspace" and "held now" in fault.detail, fault
+    late = first_fault(Braking(distances, -1.0), period=0.2)[0]
+    assert late is None or late > when, "in four times the time it is four times slower, however late the ticks"
     velocity = (path[when] - path[when - 1]) * m.policy_hz
     fast = float(np.linalg.norm(velocity))
     goes = np.interp(fast, [0, 0.5 * speed, 2 * speed], [0, 0.04, 0.16])

@@ -121,6 +121,7 @@ class Guard:
         self._missed, self._late, self._up, self._away, self._lifted = 1, 0, 0, 0, False
         self._led, self._sank = np.inf, 0.0
         self._place: np.ndarray | None = None
+        self._stamp = self._placed = 0.0
         self._velocity = np.zeros(3)
         self._arm_alive.begin()
         self._object_alive.begin()
@@ -199,6 +200,7 @@ class Guard:
         age = now - state.stamp
         if not np.isfinite(age) or age > self.manifest.watch.stale_s or age < -self.manifest.watch.stale_s:
             return Fault("stale_state", f"the state is {1e3 * age:.0f} ms old, more than {1e3 * self.manifest.watch.stale_s:.0f} ms")
+        self._stamp = state.stamp
         if state.fault:
             return Fault("arm", f"the arm reports: {state.fault}")
         n = len(self.manifest.joints)
@@ -274,8 +276,9 @@ class Guard:
                 return Fault("observation_jump", f"observation {self._names[worst]} moved by {step[worst]:.3g} in a tick")
         self._last, self._missed = observation, 1
         place = self.observer.kinematics.coordinates()
-        self._velocity = np.zeros(3) if self._place is None else (place - self._place)[:3] * self._hz
-        self._place = place
+        spent = max(1.0 / self._hz, self._stamp - self._placed)  # a late tick is longer, and no faster
+        self._velocity = np.zeros(3) if self._place is None else (place - self._place)[:3] / spent
+        self._place, self._placed = place, self._stamp
         out = (place < self._box_low - OVERSHOOT) | (place > self._box_high + OVERSHOOT)
         if out.any():
             worst = int(out.argmax())
