@@ -14,7 +14,7 @@ The way is 12.5 m, so that an episode of 10 s, as long as the paper's, asks for 
 but heavier ones have to be able to leave it as well.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,8 @@ import numpy as np
 from robots.ant import ANTS, gymnasium_ant
 from robots.model_robot import ModelRobot
 from tasks.ant_symmetry import eastwards, given_back
-from tasks.task import PractisedTask, by_number
+from tasks.record import Entry, Record
+from tasks.task import PractisedTask
 
 if TYPE_CHECKING:
     import gymnasium
@@ -61,33 +62,23 @@ FLOOR_YAW = 0.8
 RESET_NOISE = 0.1
 """Half width of the uniform noise on every number of the start's configuration, and standard deviation of its speeds, as in Ant-v5."""
 
-OBSERVATION: dict[str, int] = {
-    "height": 1,  # of the torso [m]
-    "orientation": 4,  # of the torso, quaternion, w first
-    **{f"{joint}_{leg}": 1 for leg in range(1, 5) for joint in ("hip", "ankle")},  # angles [rad]
-    "velocity": 3,  # of the torso [m/s], world axes
-    "angular_velocity": 3,  # of the torso [rad/s], its own axes
-    **{f"{joint}_{leg}_speed": 1 for leg in range(1, 5) for joint in ("hip", "ankle")},  # [rad/s]
-    "place": 2,  # x and y of the torso, in cells
-}
+_JOINTS = [f"{joint}_{leg}" for leg in range(1, 5) for joint in ("hip", "ankle")]
+# Thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns.
+OBSERVATION = Record({
+    "height": Entry(1, "m", "world", "of the torso", scale=0.1, explored=0.03),
+    "orientation": Entry(4, "1", "world", "of the torso, quaternion, w first", scale=0.2),
+    **{name: Entry(1, "rad", "joint", "angle", scale=0.3, explored=0.05) for name in _JOINTS},
+    "velocity": Entry(3, "m/s", "world", "of the torso", scale=1.0, explored=0.3),
+    "angular_velocity": Entry(3, "rad/s", "torso", "of the torso", scale=1.0),
+    **{f"{name}_speed": Entry(1, "rad/s", "joint", "speed", scale=5.0) for name in _JOINTS},
+    "place": Entry(2, "cells", "world", "x and y of the torso", scale=0.2, explored=0.1),
+})
 """The observation record: Ant-v5's without contact forces, and where the ant is."""
-ACTION: dict[str, int] = {f"{joint}_{leg}": 1 for leg in (4, 1, 2, 3) for joint in ("hip", "ankle")}
-"""The action record, in the order of ant.xml's motors: share of the joint's greatest torque."""
-
-_SCALES = {"height": 0.1, "orientation": 0.2, "velocity": 1.0, "angular_velocity": 1.0, "place": 0.2}
-OBSERVATION_SCALE = by_number(
-    {name: _SCALES.get(name, 5.0 if name.endswith("speed") else 0.3) for name in OBSERVATION}, OBSERVATION
-)
-"""Smallest scale (n_obs,) by which a policy normalises each number."""
-
-EXPLORED: dict[str, float] = {
-    "height": 0.03, "velocity": 0.3, "place": 0.1,
-    **{f"{joint}_{leg}": 0.05 for leg in range(1, 5) for joint in ("hip", "ankle")},
-}
-"""Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
-thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns."""
-RESPONDING: dict[str, float] = dict.fromkeys(ACTION, 0.05)
-"""The same for the response of each motor to what the policy meets."""
+ACTION = Record({
+    f"{joint}_{leg}": Entry(1, "1", "joint", "share of the joint's greatest torque", explored=0.05)
+    for leg in (4, 1, 2, 3) for joint in ("hip", "ankle")
+})
+"""The action record, in the order of ant.xml's motors."""
 
 
 @dataclass(frozen=True)
@@ -103,35 +94,12 @@ class AntMaze(PractisedTask):
     along: float = 0.0
 
     name = "ant-maze"
+    observation = OBSERVATION
+    action = ACTION
     family = ANTS.name
     control_frequency = 20.0
     substeps = 5
     hold_steps = 1
-
-    @property
-    def observation(self) -> Mapping[str, int]:
-        """OBSERVATION."""
-        return OBSERVATION
-
-    @property
-    def action(self) -> Mapping[str, int]:
-        """ACTION."""
-        return ACTION
-
-    @property
-    def observation_scale(self) -> np.ndarray:
-        """OBSERVATION_SCALE."""
-        return OBSERVATION_SCALE
-
-    @property
-    def explored(self) -> np.ndarray:
-        """EXPLORED, by number."""
-        return by_number(EXPLORED, OBSERVATION)
-
-    @property
-    def responding(self) -> np.ndarray:
-        """RESPONDING, by number."""
-        return by_number(RESPONDING, ACTION)
 
     def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
         """The ant at the start's centre in the maze."""

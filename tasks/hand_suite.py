@@ -6,14 +6,14 @@ installed package, and nothing in them is changed: visual meshes stay, as they c
 and are wanted for pictures.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from robots.model_robot import ModelRobot
+from tasks.record import Entry, Record
 from tasks.task import ModelTask, Scene
 
 CONTROL_FREQUENCY = 100.0
@@ -209,8 +209,18 @@ def _euler(xmat: np.ndarray) -> np.ndarray:
     return np.array([-np.arctan2(xmat[5], xmat[8]), np.arctan2(xmat[2], np.hypot(xmat[5], xmat[8])), -np.arctan2(xmat[1], xmat[0])])
 
 
-def _joints(names: tuple[str, ...]) -> dict[str, int]:
-    return {f"joint/{name}": 1 for name in names}
+def _record(task: str, joints: tuple[str, ...], more: dict[str, Entry]) -> Record:
+    """Joints and more as a record, scaled by SPREAD, offsets explored by SHIFTED of that."""
+    entries = {f"joint/{name}": Entry(1, "m" if name.startswith("ART") else "rad", "joint", "position") for name in joints} | more
+    spread, found = iter(SPREAD[task]), {}
+    for name, entry in entries.items():
+        scale = tuple(next(spread) for _ in range(entry.size))
+        found[name] = replace(entry, scale=scale, explored=tuple(SHIFTED * value for value in scale))
+    return Record(found)
+
+
+def _place(meaning: str) -> Entry:
+    return Entry(3, "m", "world", meaning)
 
 
 def _lighten(spec: mujoco.MjSpec, task: str) -> None:
@@ -247,7 +257,7 @@ class HandTask(ModelTask):
     """
 
     kind: str
-    observation: Mapping[str, int]
+    observation: Record
     environment_class: str
     scene_class: type[_Scene]
     light: bool = False
@@ -269,24 +279,10 @@ class HandTask(ModelTask):
         return HOLD_STEPS[self.kind]
 
     @property
-    def action(self) -> dict[str, int]:
+    def action(self) -> Record:
         """One servo's target each: -1 and +1 are the ends of its range."""
-        return {f"servo/{name}": 1 for name in (*MOUNT_JOINTS[self.kind], *HAND_JOINTS)}
-
-    @property
-    def observation_scale(self) -> np.ndarray:
-        """SPREAD."""
-        return np.array(SPREAD[self.kind])
-
-    @property
-    def explored(self) -> np.ndarray:
-        """SHIFTED times SPREAD."""
-        return SHIFTED * self.observation_scale
-
-    @property
-    def responding(self) -> np.ndarray:
-        """Nothing: offsets of the observation are enough to begin with."""
-        return np.zeros(len(self.action))
+        joints = (*MOUNT_JOINTS[self.kind], *HAND_JOINTS)
+        return Record({f"servo/{name}": Entry(1, "1", "joint", "target, in its control range") for name in joints})
 
     def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
         """The robot in the task's scene.
@@ -337,23 +333,38 @@ class HandTask(ModelTask):
 _KINDS = (
     (
         "door",
-        _joints((*MOUNT_JOINTS["door"][1:], *HAND_JOINTS))
-        | {"latch": 1, "hinge": 1, "palm": 3, "handle": 3, "palm_from_handle": 3, "ajar": 1},
+        _record("door", (*MOUNT_JOINTS["door"][1:], *HAND_JOINTS), {
+            "latch": Entry(1, "rad", "joint", "of the handle"),
+            "hinge": Entry(1, "rad", "joint", "of the door"),
+            "palm": _place("of the palm"),
+            "handle": _place("of the handle"),
+            "palm_from_handle": _place("palm from the handle"),
+            "ajar": Entry(1, "1", "", "+1 from AJAR on, else -1"),
+        }),
         "AdroitHandDoorEnv", DoorScene,
     ),
     (
         "hammer",
-        _joints((*MOUNT_JOINTS["hammer"], *HAND_JOINTS))
-        | {"nail_depth": 1, "hammer_velocity": 3, "hammer_rates": 3, "palm": 3, "hammer": 3, "hammer_angles": 3, "nail": 3,
-           "nail_force": 1},
+        _record("hammer", (*MOUNT_JOINTS["hammer"], *HAND_JOINTS), {
+            "nail_depth": Entry(1, "m", "joint", "of the nail"),
+            "hammer_velocity": Entry(3, "m/s", "world", "of the hammer, cut to +-1"),
+            "hammer_rates": Entry(3, "rad/s", "hammer", "of the hammer, cut to +-1"),
+            "palm": _place("of the palm"),
+            "hammer": _place("of the hammer"),
+            "hammer_angles": Entry(3, "rad", "world", "of the hammer, as _euler"),
+            "nail": _place("of the nail's head"),
+            "nail_force": Entry(1, "N", "", "on the nail, cut to +-1"),
+        }),
         "AdroitHandHammerEnv", HammerScene,
     ),
     (
         "relocate",
-        _joints((*MOUNT_JOINTS["relocate"], *HAND_JOINTS)) | {"palm_from_ball": 3, "palm_from_target": 3, "ball_from_target": 3},
+        _record("relocate", (*MOUNT_JOINTS["relocate"], *HAND_JOINTS), {
+            "palm_from_ball": _place("palm from the ball"),
+            "palm_from_target": _place("palm from where the ball shall be"),
+            "ball_from_target": _place("ball from where it shall be"),
+        }),
         "AdroitHandRelocateEnv", RelocateScene,
     ),
 )
 CARDS: dict[str, HandTask] = {task.name: task for light in (False, True) for task in (HandTask(*kind, light) for kind in _KINDS)}
-"""Units: joints, latch, hinge and angles [rad] (slides [m]), positions [m] in the world's axes, velocities [m/s, rad/s] cut to +-1, force
-[N] cut to +-1, ajar -1 or +1."""

@@ -11,7 +11,8 @@ import numpy as np
 
 from grippers.gripper import COMMANDED_ROLES
 from tasks.objects import OBJECTS, PickObject
-from tasks.task import Task, by_number
+from tasks.record import Entry, Record
+from tasks.task import Task
 
 TABLE_TOP = 0.8
 """Height [m] of the table's surface above the floor: robosuite's table arena."""
@@ -31,6 +32,33 @@ OBJECT_MARGIN = {"box": 0.0, "cylinder": 0.001}
 """Contact margin [m] by shape: robosuite's BoxObject and CylinderObject."""
 GOAL_OFFSET = np.array([0.0, 0.10, 0.20])
 """Goal [m] relative to the object's nominal start: lifted 0.2 m and carried 0.1 m aside."""
+
+
+_FINGER = "this finger joint's displacement from its start angle, see fingers; 0 where the gripper has no such joint"
+_PROGRESS = "of the integrated closing command since the start: -1 at the preshape, +1 fully closed"
+_TURNED, _UPRIGHT = "grasp frame's rotation from its start", "object's rotation from upright at zero yaw"
+OBSERVATION = Record({
+    **{f"finger/{role}": Entry(1, "rad", "joint", _FINGER, scale=0.3, noise=0.3, jump=0.15) for role in COMMANDED_ROLES},
+    "closing_progress": Entry(1, "1", "gripper", _PROGRESS, scale=1.0, noise=0.1, jump=0.1),
+    "grasp_position": Entry(3, "m", "task", "grasp frame origin from its start position", scale=0.05, noise=0.03, jump=0.03),
+    "grasp_rotation": Entry(3, "1", "task", f"{_TURNED}: axis times sine of the angle", scale=0.1, noise=0.1, jump=0.15),
+    # Where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An
+    # object that turned in the grasp, or hangs lower in it, is carried past the goal.
+    "object_from_grasp": Entry(
+        3, "m", "task", "object centre from the grasp frame origin", scale=0.05, explored=0.012, noise=0.01, jump=0.03
+    ),
+    "object_rotation": Entry(3, "1", "task", f"{_UPRIGHT}: axis times sine of the angle", scale=0.1, noise=0.2, jump=0.3),
+    "goal_from_object": Entry(3, "m", "task", "goal from the object centre", scale=0.05, explored=0.05, noise=0.03, jump=0.03),
+})
+"""The observation record. The same for every robot; joints that a robot lacks read zero."""
+ACTION = Record({
+    # On a gripper that closes slowly the hand has to wait for it.
+    "grasp_translation": Entry(3, "0.05 m", "controller", "OSC delta of the grasp frame's origin", explored=0.05),
+    "grasp_rotation": Entry(3, "0.5 rad", "controller", "OSC delta of the grasp frame's rotation"),
+    **{f"close/{role}": Entry(1, "1", "gripper", "-1 open, +1 closed posture of that joint") for role in COMMANDED_ROLES},
+})
+"""The action record."""
+OBSERVATION_SIZE, ACTION_SIZE = OBSERVATION.size, ACTION.size
 
 
 @dataclass(frozen=True)
@@ -60,6 +88,8 @@ class PickTask(Task):
     title: str | None = None
 
     control_law = "osc"
+    observation = OBSERVATION
+    action = ACTION
 
     def __post_init__(self) -> None:
         if self.title is not None and not re.fullmatch(r"\w[\w-]*", self.title):
@@ -70,34 +100,9 @@ class PickTask(Task):
         """Name on the command line."""
         return self.title or self.object.name + ("-wide" if self.noise_yaw > 0 else "")
 
-    @property
-    def observation(self) -> dict[str, int]:
-        """OBSERVATION."""
-        return OBSERVATION
-
-    @property
-    def action(self) -> dict[str, int]:
-        """ACTION."""
-        return ACTION
-
-    @property
-    def observation_scale(self) -> np.ndarray:
-        """OBSERVATION_SCALE."""
-        return OBSERVATION_SCALE
-
-    @property
-    def explored(self) -> np.ndarray:
-        """EXPLORED, by number."""
-        return by_number(EXPLORED, OBSERVATION)
-
-    @property
-    def responding(self) -> np.ndarray:
-        """RESPONDING, by number."""
-        return by_number(RESPONDING, ACTION)
-
     def miss(self, observation: np.ndarray) -> float:
         """Distance [m] from the object to the goal."""
-        return float(np.linalg.norm(observation[_GOAL_FROM_OBJECT]))
+        return float(np.linalg.norm(observation[OBSERVATION.slice("goal_from_object")]))
 
     def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Start of an episode.
@@ -117,44 +122,6 @@ CARDS: dict[str, PickTask] = {
     for item in OBJECTS.values()
     for task in (PickTask(item), PickTask(item, noise_xy=0.05, noise_yaw=np.deg2rad(30)))
 }
-
-OBSERVATION: dict[str, int] = {
-    **{f"finger/{role}": 1 for role in COMMANDED_ROLES},  # joint displacement from its start posture [rad]
-    "closing_progress": 1,  # of the closing command since the start: -1 at the preshape, +1 fully closed
-    "grasp_position": 3,  # grasp frame origin from its start [m], world axes
-    "grasp_rotation": 3,  # axis times sine of the angle from the start rotation, world axes
-    "object_from_grasp": 3,  # object centre from the grasp frame origin [m], world axes
-    "object_rotation": 3,  # axis times sine of the object's rotation from upright zero yaw, world axes
-    "goal_from_object": 3,  # [m], world axes
-}
-"""The observation record: entry -> size. The same for every robot; joints that a robot lacks read zero."""
-OBSERVATION_SIZE = sum(OBSERVATION.values())
-_GOAL_FROM_OBJECT = slice(OBSERVATION_SIZE - OBSERVATION["goal_from_object"], OBSERVATION_SIZE)
-OBSERVATION_SCALE = np.concatenate(
-    [np.full(len(COMMANDED_ROLES), 0.3), [1.0], np.full(3, 0.05), np.full(3, 0.1), np.full(3, 0.05), np.full(3, 0.1),
-     np.full(3, 0.05)]
-)
-"""Smallest scale (n_obs,) by which a policy normalises each entry, so that an entry that hardly moves on the source
-(or a joint that freezes) is never blown up."""
-
-
-EXPLORED: dict[str, float] = {"object_from_grasp": 0.012, "goal_from_object": 0.05}
-"""Entries of the observation whose offsets a search may explore, and the standard deviation with which it begins, in the entry's unit:
-where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An object
-that turned in the grasp, or hangs lower in it, is carried past the goal."""
-
-ACTION: dict[str, int] = {
-    "grasp_translation": 3,  # OSC delta of the grasp frame, 1 = 0.05 m, base axes
-    "grasp_rotation": 3,  # OSC delta, 1 = 0.5 rad, base axes
-    **{f"close/{role}": 1 for role in COMMANDED_ROLES},  # -1 open, +1 closed posture of that joint
-}
-"""The action record: entry -> size."""
-ACTION_SIZE = sum(ACTION.values())
-
-RESPONDING: dict[str, float] = {"grasp_translation": 0.05}
-"""Entries of the action whose response to what the policy meets a search may explore, and the standard deviation of it with which it
-begins, in the action's unit: on a gripper that closes slowly the hand has to wait for it."""
-
 
 def observe(
     fingers: np.ndarray,

@@ -6,25 +6,17 @@ drives their robots, by name.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
+
+from tasks.record import Record
 
 if TYPE_CHECKING:
     import mujoco
 
     from robots.model_robot import ModelRobot
-
-
-def entry_names(record: Mapping[str, int]) -> list[str]:
-    """One name per number of a record: "name" or "name[k]"."""
-    return [name if size == 1 else f"{name}[{k}]" for name, size in record.items() for k in range(size)]
-
-
-def by_number(declared: Mapping[str, float], record: Mapping[str, int], otherwise: float = 0.0) -> np.ndarray:
-    """What is declared for entries of a record, for each of its numbers (n,); ``otherwise`` where nothing is."""
-    return np.concatenate([np.full(size, declared.get(name, otherwise)) for name, size in record.items()])
 
 
 class Task(ABC):
@@ -33,10 +25,7 @@ class Task(ABC):
     Attributes:
         name: on the command line.
         control_law: name of the law that turns actions into controls.
-        observation, action: entry -> size, in order; the same for every robot that plays the task.
-        observation_scale: (n_obs,) smallest scale by which a policy normalises each number, in the entry's unit.
-        explored: (n_obs,) standard deviation with which a search begins to explore the offset of each number of the observation; 0: never.
-        responding: (n_act,) the same for the response of each action to what the policy meets.
+        observation, action: the records; the same for every robot that plays the task.
         horizon: policy steps of an episode.
         control_frequency: policy rate [Hz].
         hold_steps: policy steps at the goal that make a success.
@@ -46,11 +35,8 @@ class Task(ABC):
     control_law: ClassVar[str]
     consecutive: ClassVar[bool] = True
     name: str
-    observation: Mapping[str, int]
-    action: Mapping[str, int]
-    observation_scale: np.ndarray
-    explored: np.ndarray
-    responding: np.ndarray
+    observation: Record
+    action: Record
     horizon: int
     control_frequency: float
     hold_steps: int
@@ -58,16 +44,6 @@ class Task(ABC):
     def miss(self, observation: np.ndarray) -> float:
         """How far from success an episode ended that did not succeed, by its last observation (n_obs,); 0 where a task cannot tell."""
         return 0.0
-
-    @property
-    def observation_names(self) -> list[str]:
-        """One name per number of the observation."""
-        return entry_names(self.observation)
-
-    @property
-    def action_names(self) -> list[str]:
-        """One name per number of the action."""
-        return entry_names(self.action)
 
 
 class Judge:

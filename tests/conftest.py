@@ -96,15 +96,14 @@ def engine(merged):
 @pytest.fixture(scope="session")
 def restless():
     """seed -> a random policy, restless enough to reach the clip."""
-    from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SCALE, OBSERVATION_SIZE
-    from tasks.task import entry_names
+    from tasks.pick import ACTION, OBSERVATION, OBSERVATION_SIZE
     from toolkit.learning.policy import GaussianPolicy
 
     def make(seed):
         rng = np.random.default_rng(seed)
-        policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), rng)
+        policy = GaussianPolicy(OBSERVATION.names, ACTION.names, rng)
         policy.set_parameters(0.4 * rng.standard_normal(len(policy.parameters)))
-        policy.set_normalisation(0.1 * rng.standard_normal(OBSERVATION_SIZE), OBSERVATION_SCALE)
+        policy.set_normalisation(0.1 * rng.standard_normal(OBSERVATION_SIZE), OBSERVATION.numbers("scale"))
         return policy
 
     return make

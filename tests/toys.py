@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from robots.model_robot import Family, ModelRobot
+from tasks.record import Entry, Record
 from tasks.task import ModelTask
 
 CRAWLER = """
@@ -106,25 +107,13 @@ class ToyTask(ModelTask):
     hold_steps: int = 2
     control_frequency: float = 20.0
     consecutive: bool = False
-    observation: dict = field(init=False)
-    action: dict = field(init=False)
+    observation: Record = field(init=False)
+    action: Record = field(init=False)
 
     def __post_init__(self):
         nq, nv, nu = self.joints
-        object.__setattr__(self, "observation", {"qpos": nq, "qvel": nv})
-        object.__setattr__(self, "action", {"drive": nu})
-
-    @property
-    def observation_scale(self):
-        return np.full(sum(self.observation.values()), 0.1)
-
-    @property
-    def explored(self):
-        return np.full(sum(self.observation.values()), 0.01)
-
-    @property
-    def responding(self):
-        return np.zeros(sum(self.action.values()))
+        object.__setattr__(self, "observation", Record({"qpos": Entry(nq, scale=0.1, explored=0.01), "qvel": Entry(nv, scale=0.1)}))
+        object.__setattr__(self, "action", Record({"drive": Entry(nu)}))
 
     def spec(self, robot):
         spec = mujoco.MjSpec.from_string(self.xml)

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE, is_lost
-from tasks.task import entry_names
 from toolkit.bundle.manifest import FORMAT_VERSION, Lineage, Success, read_manifest
 from toolkit.bundle.onnx_graph import load_onnx
 from toolkit.bundle.reading import FILES, MANIFEST, check_bundle, load_bundle
@@ -81,7 +80,7 @@ def test_a_bundle_reads_back_as_it_was_written(exported, policy):
     bundle = load_bundle(folder)
     assert bundle.manifest == manifest and manifest.run == CONFIG and manifest.lineage == LINEAGE
     assert bundle.policy.record == OBSERVATION
-    loaded = GaussianPolicy.load(folder / "policy.safetensors", entry_names(OBSERVATION), entry_names(ACTION))
+    loaded = GaussianPolicy.load(folder / "policy.safetensors", OBSERVATION.names, ACTION.names)
     np.testing.assert_array_equal(loaded.parameters, policy.parameters)
 
 
@@ -189,7 +188,7 @@ def test_the_finger_map_gives_the_observation(exported, native, name):
     for entry, row in manifest.fingers.items():
         angle = float(robot.data.joint("gripper0_right_" + row.joint).qpos[0])
         seen[entry] = row.sign * (angle - row.start_rad)
-    wanted = dict(zip(entry_names(OBSERVATION), observation, strict=True))
+    wanted = dict(zip(OBSERVATION.names, observation, strict=True))
     fingers = {key: wanted[key] for key in OBSERVATION if key.startswith("finger/")}
     assert {key: seen.get(key, 0.0) for key in fingers} == pytest.approx(fingers, abs=1e-12)
     hinges = [role for role in ROBOTS[name].gripper.joints if f"finger/{role}" in OBSERVATION]

@@ -20,7 +20,6 @@ from robots import ROBOTS
 from tasks import TASKS
 from tasks.env import Pick
 from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION, TABLE_FRICTION
-from tasks.task import entry_names
 from toolkit.bundle.manifest import Lineage, Success
 from toolkit.bundle.reading import FILES, HASHED, check_bundle, load_bundle, shipped_bundles
 from toolkit.errors import ToolkitError
@@ -143,7 +142,7 @@ def test_gripper_targets_follow_from_start_sign_and_line(exported, native, name)
 def test_closing_progress_is_its_formula(exported, native, name):
     manifest, robot = exported(name)[1], native(name)
     says, gripper = manifest["simulation"]["closing_progress"], manifest["gripper"]
-    place, command, found = entry_names(OBSERVATION).index("closing_progress"), gripper["preshape"], []
+    place, command, found = OBSERVATION.names.index("closing_progress"), gripper["preshape"], []
     value = lambda at: eval(says["formula"], {}, {"command": at, "preshape": gripper["preshape"]})  # noqa: E731
     for closing in (0, -1, -1, 1, 1, 1, -1, *[1] * 12):
         observation = robot.apply(np.array([0, 0, 0.2, 0, 0, 0, closing]))

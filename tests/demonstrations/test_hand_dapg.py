@@ -20,8 +20,8 @@ DOOR = CARDS["door"]
 
 def episodes(task=DOOR, count=3, steps=5):
     rng = np.random.default_rng(0)
-    return [{"observations": rng.standard_normal((steps + k, len(task.observation_names))),
-             "actions": rng.standard_normal((steps + k, len(task.action_names))), "rewards": rng.standard_normal(steps + k),
+    return [{"observations": rng.standard_normal((steps + k, len(task.observation.names))),
+             "actions": rng.standard_normal((steps + k, len(task.action.names))), "rewards": rng.standard_normal(steps + k),
              "init_state_dict": {"qpos": rng.standard_normal(30), "door_body_pos": np.float64(0.5)}}
             for k in range(count)]
 
@@ -186,8 +186,8 @@ def resaved(path, **changes):
     ({"lengths": np.array([], int)}, "its lengths add up to 0 steps"),
     ({"observations": np.array([{}] * 18)}, "observations: expected dtype float32 or float64, found object"),
     ({"observations": np.full((18, 39), np.inf)}, "observations[0, 0] of episode 0 is inf"),
-    ({"action_names": np.array(DOOR.action_names[::-1])}, "'servo/THJ0' where 'servo/ARTz' belongs"),
-    ({"action_names": np.array(DOOR.action_names[:-1])}, "27 where 28 belongs"),
+    ({"action_names": np.array(DOOR.action.names[::-1])}, "'servo/THJ0' where 'servo/ARTz' belongs"),
+    ({"action_names": np.array(DOOR.action.names[:-1])}, "27 where 28 belongs"),
 ])
 def test_mistakes_in_a_file_are_named(tmp_path, changes, why):
     assert why in refusal(resaved(tmp_path / "door.npz", **changes))

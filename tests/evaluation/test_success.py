@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION
-from tasks.task import entry_names
 from toolkit.demonstrations.scripts import PickScript
 from toolkit.evaluation.success import Evaluation, evaluate_native
 from toolkit.learning.policy import GaussianPolicy
@@ -84,7 +83,7 @@ def test_a_simulation_that_blows_up_is_no_success_and_is_said(native, what):
 @pytest.fixture(scope="module")
 def idle():
     """A policy whose mean action is zero everywhere."""
-    policy = GaussianPolicy(entry_names(OBSERVATION), entry_names(ACTION), np.random.default_rng(0))
+    policy = GaussianPolicy(OBSERVATION.names, ACTION.names, np.random.default_rng(0))
     policy.set_parameters(np.zeros_like(policy.parameters))
     return policy
 

@@ -14,7 +14,6 @@ from robots import MODEL_ROBOTS, ROBOTS
 from tasks import MODEL_TASKS, TASKS
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE
-from tasks.task import entry_names
 from toolkit.demonstrations.scripts import FINGER_DEPTH, PickScript, entry, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import evaluate_merged
@@ -87,7 +86,7 @@ def test_noisy_copies_keep_the_original_and_the_label_of_what_is_seen(demonstrat
 
 
 def test_finger_noise_alone_keeps_every_label(demonstrations, monkeypatch):
-    fingers = np.array([name.startswith("finger/") for name in entry_names(OBSERVATION)])
+    fingers = np.array([name.startswith("finger/") for name in OBSERVATION.names])
     monkeypatch.setattr("toolkit.expert.training.OBSERVATION_NOISE", np.where(fingers, OBSERVATION_NOISE, 0.0))
     observations = demonstrations[0].observations
     seen, labels = _with_noise(observations, PickScript(), 3, np.random.default_rng(0))
@@ -97,8 +96,7 @@ def test_finger_noise_alone_keeps_every_label(demonstrations, monkeypatch):
 
 
 def test_names_are_one_per_number():
-    assert len(entry_names(OBSERVATION)) == OBSERVATION_SIZE and len(entry_names(ACTION)) == ACTION_SIZE
-    assert entry_names({"a": 1, "b": 2}) == ["a", "b[0]", "b[1]"]
+    assert len(OBSERVATION.names) == OBSERVATION_SIZE and len(ACTION.names) == ACTION_SIZE
     observation = np.arange(OBSERVATION_SIZE, dtype=float)
     assert entry(observation, "goal_from_object")[-1] == OBSERVATION_SIZE - 1
 
@@ -261,8 +259,8 @@ def test_a_shipped_expert_explains_itself(card):
     task = (TASKS | MODEL_TASKS)[name]
     assert source in (MODEL_ROBOTS if name in MODEL_TASKS else ROBOTS)
     files = [card.with_name(f"{card.stem}.{kind}.safetensors") for kind in ("policy", "value")]
-    policy = GaussianPolicy.load(files[0], task.observation_names, task.action_names)
-    assert policy.observation_names == ValueFunction.load(files[1], task.observation_names).observation_names
+    policy = GaussianPolicy.load(files[0], task.observation.names, task.action.names)
+    assert policy.observation_names == ValueFunction.load(files[1], task.observation.names).observation_names
     size = sum(file.stat().st_size for file in (*files, card))
     assert size < 10**6, f"{size / 1e6:.1f} MB"
     content = json.loads(card.read_text())
@@ -280,7 +278,7 @@ def test_a_shipped_expert_explains_itself(card):
 @pytest.mark.parametrize("card", [card for card in CARDS if "061_foam_brick" in card.stem], ids=lambda card: card.stem)
 def test_a_shipped_expert_succeeds_on_the_merged_source(engine, card):
     file = card.with_name(f"{card.stem}.policy.safetensors")
-    policy = GaussianPolicy.load(file, entry_names(OBSERVATION), entry_names(ACTION))
+    policy = GaussianPolicy.load(file, OBSERVATION.names, ACTION.names)
     result = evaluate_merged(policy, engine, SOURCE, 8, seed=77)
     assert result.successes >= 7, f"{result.successes} of 8 unseen seeds on F(beta_0)"
 

@@ -73,7 +73,7 @@ def test_batches_do_not_depend_on_threads(family):
 
 def test_a_policy_is_evaluated_on_both_kinds():
     lab = Lab(HAND_ROBOTS[0], HAND_ROBOTS[1:], LIFT)
-    policy = GaussianPolicy(LIFT.observation_names, LIFT.action_names, np.random.default_rng(0))
+    policy = GaussianPolicy(LIFT.observation.names, LIFT.action.names, np.random.default_rng(0))
     engine = RolloutEngine(lab.merged)
     for result in (evaluate_merged(policy, engine, "short", 4), evaluate_compiled(policy, HAND_ROBOTS[1], LIFT, 4)):
         assert result.episodes == 4 and result.diverged == 0

@@ -95,7 +95,7 @@ def test_a_start_is_the_seeds_alone_and_fills_its_noise(ant):
     shift = (np.array(starts)[:, :2] - START) / START_SHIFT
     assert shift.min() > -1 and shift.max() < 1 and shift.min() < -0.9 and shift.max() > 0.9 and np.abs(shift.mean(axis=0)).max() < 0.15
     np.testing.assert_allclose(np.linalg.norm(np.array(starts)[:, 3:7], axis=1), 1.0, atol=1e-12)
-    assert model.nu == len(TASK.action_names) and data.qpos.size + data.qvel.size == len(TASK.observation_names)
+    assert model.nu == len(TASK.action.names) and data.qpos.size + data.qvel.size == len(TASK.observation.names)
 
 
 @every_ant

@@ -164,9 +164,9 @@ def test_records_name_what_is_there(task):
     model, data, scene = played(task)
     begin(data, scene, 0)
     size = sum(task.observation.values())
-    assert scene.observe().shape == task.observation_scale.shape == task.explored.shape == (size,)
-    assert task.responding.shape == (sum(task.action.values()),) == (model.nu,)
-    assert (task.explored > 0).all() and (task.observation_scale > 0).all()
+    assert scene.observe().shape == task.observation.numbers("scale").shape == task.observation.numbers("explored").shape == (size,)
+    assert task.action.numbers("explored").shape == (sum(task.action.values()),) == (model.nu,)
+    assert (task.observation.numbers("explored") > 0).all() and (task.observation.numbers("scale") > 0).all()
     assert list(task.action) == [f"servo/{model.joint(int(joint)).name}" for joint in model.actuator_trnid[:, 0]]
     where = 0
     for entry, count in task.observation.items():

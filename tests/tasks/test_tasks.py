@@ -21,7 +21,6 @@ from tasks.pick import (
     GOAL_OFFSET,
     OBJECT_XY,
     OBSERVATION,
-    OBSERVATION_SCALE,
     OBSERVATION_SIZE,
     START_ROTATION,
     TABLE_TOP,
@@ -303,9 +302,9 @@ def test_engine_and_robosuite_start_from_the_same_seed_alike(native, native_fast
 
 
 def test_records_add_up():
-    assert OBSERVATION_SIZE == sum(OBSERVATION.values()) == len(OBSERVATION_SCALE)
+    assert OBSERVATION_SIZE == sum(OBSERVATION.values()) == len(OBSERVATION.numbers("scale"))
     assert ACTION_SIZE == sum(ACTION.values())
-    assert (OBSERVATION_SCALE > 0).all()
+    assert (OBSERVATION.numbers("scale") > 0).all()
     assert all(name == task.name for name, task in TASKS.items())
 
 

@@ -10,7 +10,6 @@ import pytest
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.pick import ACTION, OBSERVATION
-from tasks.task import entry_names
 from toolkit.cli.training import record_run
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
@@ -72,7 +71,7 @@ def test_the_report_says_where_the_time_went(played):
 
 
 def policy_of(folder):
-    return GaussianPolicy.load(folder / f"{TARGET}.policy.safetensors", entry_names(OBSERVATION), entry_names(ACTION))
+    return GaussianPolicy.load(folder / f"{TARGET}.policy.safetensors", OBSERVATION.names, ACTION.names)
 
 
 def test_the_run_folder_explains_the_run(played, job):

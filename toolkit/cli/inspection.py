@@ -263,7 +263,7 @@ def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     task = find_task(content["task"])
     lab = make_lab(content["source"], targets or content["targets"], content["task"])
     files = {name: folder / f"{name}{POLICY_FILE}" for name in content["targets"]}
-    trained = {name: GaussianPolicy.load(file, task.observation_names, task.action_names) for name, file in files.items() if file.is_file()}
+    trained = {name: GaussianPolicy.load(file, task.observation.names, task.action.names) for name, file in files.items() if file.is_file()}
     policy, _ = load_expert(content["source"], task, content.get("expert"))
 
     def native(name: str) -> "Drivable":

@@ -148,7 +148,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
                 raise ToolkitError(
                     f"{folder} has no policy for {name!r} yet; finish it with: {continuing(folder)}"
                 )
-            found[name] = GaussianPolicy.load(file, what.observation_names, what.action_names)
+            found[name] = GaussianPolicy.load(file, what.observation.names, what.action.names)
         except ToolkitError as error:
             trouble.append(str(error))
     if not found:
@@ -178,5 +178,5 @@ def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "Gaussi
     if target not in (None, source):
         raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
     what = find_task(task)
-    policy = GaussianPolicy.load(file, what.observation_names, what.action_names)
+    policy = GaussianPolicy.load(file, what.observation.names, what.action.names)
     return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}, []

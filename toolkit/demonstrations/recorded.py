@@ -44,7 +44,7 @@ def joined(path: Path, task: Task, episodes: Sequence[tuple[np.ndarray, np.ndarr
     Raises:
         ToolkitError: none, one without steps or of another task's layout, or numbers that are not finite.
     """
-    wanted = (len(task.observation_names), len(task.action_names))
+    wanted = (len(task.observation.names), len(task.action.names))
     if not episodes:
         raise ToolkitError(f"{path} holds no episode; record at least one")
     for k, (observations, actions) in enumerate(episodes):
@@ -73,8 +73,8 @@ def save_recorded(path: Path, task: Task, recorded: Recorded) -> None:
     content = BytesIO()
     np.savez_compressed(
         content, observations=recorded.observations.astype(np.float32), actions=recorded.actions.astype(np.float32),
-        lengths=recorded.lengths.astype(np.int64), observation_names=np.array(task.observation_names),
-        action_names=np.array(task.action_names),
+        lengths=recorded.lengths.astype(np.int64), observation_names=np.array(task.observation.names),
+        action_names=np.array(task.action.names),
     )
     try:
         write_atomically(path, content.getvalue())
@@ -88,7 +88,7 @@ def read_recorded(path: Path, task: Task) -> Recorded:
     Raises:
         ToolkitError: it is missing, damaged, of another task, or holds numbers that are not finite.
     """
-    names = {"observation_names": task.observation_names, "action_names": task.action_names}
+    names = {"observation_names": task.observation.names, "action_names": task.action.names}
     try:
         with Arrays(path) as arrays:
             for key, expected in names.items():
@@ -99,8 +99,8 @@ def read_recorded(path: Path, task: Task) -> Recorded:
                     raise ToolkitError(f"{path} was recorded in another task than {task.name}: its {key} have {odd!r} where {right!r} "
                                        "belongs; give a file that was recorded in this task")
             lengths = arrays.read("lengths", (None,), INTEGERS, largest=1 << 20)
-            observations = arrays.read("observations", (None, len(task.observation_names)), FLOATS, largest=LARGEST, finite=False)
-            actions = arrays.read("actions", (None, len(task.action_names)), FLOATS, largest=LARGEST, finite=False)
+            observations = arrays.read("observations", (None, len(task.observation.names)), FLOATS, largest=LARGEST, finite=False)
+            actions = arrays.read("actions", (None, len(task.action.names)), FLOATS, largest=LARGEST, finite=False)
     except ArrayError as error:
         raise ToolkitError(f"{path}: {error}; docs/demonstrations.md says what a file of demonstrations holds") from None
     if not (lengths >= 1).all() or lengths.sum() != len(observations) or len(actions) != len(observations):

@@ -10,16 +10,9 @@ from tasks.pick import ACTION_SIZE, OBSERVATION
 FINGER_DEPTH = 0.0255
 """How far [m] below its top an object is grasped at most: deeper, ADROIT's palm touches a tall object before the fingers close."""
 
-_ENTRY = {}
-_offset = 0
-for _name, _size in OBSERVATION.items():
-    _ENTRY[_name] = slice(_offset, _offset + _size)
-    _offset += _size
-
-
 def entry(observation: np.ndarray, name: str) -> np.ndarray:
     """An entry of the observation record, by name."""
-    return observation[..., _ENTRY[name]]
+    return observation[..., OBSERVATION.slice(name)]
 
 
 @dataclass(frozen=True)

@@ -119,12 +119,12 @@ class _Learning:
         self.runner, self.runner_value = self._networks(config_log_std=-1.0)
         self.policy, self.value = self._networks(config_log_std=config.cloning.init_log_std)
         self.practised = self.rounds = self.updates = self.steps = 0
-        self.seen, self.labels = np.zeros((0, len(task.observation_names))), np.zeros((0, len(task.action_names)))
+        self.seen, self.labels = np.zeros((0, len(task.observation.names))), np.zeros((0, len(task.action.names)))
         self._records = 0
 
     def _networks(self, config_log_std: float) -> tuple[GaussianPolicy, ValueFunction]:
-        names = self.task.observation_names
-        return GaussianPolicy(names, self.task.action_names, self.rng, init_log_std=config_log_std), ValueFunction(names, self.rng)
+        names = self.task.observation.names
+        return GaussianPolicy(names, self.task.action.names, self.rng, init_log_std=config_log_std), ValueFunction(names, self.rng)
 
     def close(self) -> None:
         """Stop the engines' workers."""
@@ -162,7 +162,7 @@ class _Learning:
         config, size, first = self.config, self.config.first.batch_size, EXPERT_SEEDS + self.practised * self.config.first.batch_size
         if self.practised == 0:
             seen = np.concatenate([e.observations for e in self.play(self.easier, self.runner.act, VISIT_SEEDS, size) if not e.diverged])
-            scale = np.maximum(seen.std(axis=0), self.task.observation_scale)
+            scale = np.maximum(seen.std(axis=0), self.task.observation.numbers("scale"))
             for network in (self.runner, self.runner_value):
                 network.set_normalisation(seen.mean(axis=0), scale)
         batch = [self.rewarded(self.easier, e) for e in self.play(self.easier, self.runner.act, first, size)]
@@ -192,7 +192,7 @@ class _Learning:
         met = np.concatenate([episode.observations for episode in played])
         self.seen, self.labels = np.concatenate([self.seen, met]), np.concatenate([self.labels, guide(met)])
         cloning = config.cloning if self.rounds == 0 else replace(config.cloning, epochs=-(-config.cloning.epochs // 2))
-        losses = clone(self.policy, self.seen, self.labels, cloning, self.rng, scale_floor=self.task.observation_scale)
+        losses = clone(self.policy, self.seen, self.labels, cloning, self.rng, scale_floor=self.task.observation.numbers("scale"))
         layers = self.policy.layers()
         self.value.set_normalisation(layers.shift.copy(), layers.scale.copy())
         success = float(np.mean([episode.success for episode in played]))

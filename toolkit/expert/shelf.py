@@ -86,5 +86,5 @@ def load_expert(source: str, task: Task, name: str | None = None) -> tuple[Gauss
             f"no expert is shipped for source {source!r} and task {task.name!r}; there are: {', '.join(shipped_experts()) or 'none'}; "
             f"train one with: {told('expert', '--source', source, '--task', task.name)}"
         )
-    policy = GaussianPolicy.load(policy_file, task.observation_names, task.action_names)
-    return policy, ValueFunction.load(value_file, task.observation_names)
+    policy = GaussianPolicy.load(policy_file, task.observation.names, task.action.names)
+    return policy, ValueFunction.load(value_file, task.observation.names)

@@ -22,11 +22,7 @@ from toolkit.runs.seeds import DEMONSTRATION_SEEDS, EXPERT_SEEDS, VISIT_SEEDS
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 
 Script = PickScript | TrackScript
-_NOISE = {
-    "finger": 0.3, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.1, "object_from_grasp": 0.01,
-    "object_rotation": 0.2, "goal_from_object": 0.03,
-}
-OBSERVATION_NOISE = np.concatenate([np.full(size, _NOISE[name.split("/")[0]]) for name, size in OBSERVATION.items()])
+OBSERVATION_NOISE = OBSERVATION.numbers("noise")
 """Standard deviation (n_obs,) of the noise on copied observations, in each entry's own unit."""
 
 
@@ -68,8 +64,8 @@ class ExpertConfig:
 def new_learner(task: Task, seed: int) -> tuple[GaussianPolicy, ValueFunction]:
     """A fresh policy and value function for a task's records."""
     rng = np.random.default_rng((seed, 7))
-    policy = GaussianPolicy(task.observation_names, task.action_names, rng)
-    return policy, ValueFunction(task.observation_names, rng)
+    policy = GaussianPolicy(task.observation.names, task.action.names, rng)
+    return policy, ValueFunction(task.observation.names, rng)
 
 
 class NoisyScript:
@@ -304,7 +300,7 @@ class _Training:
 
     def _fit(self, lessons: _Lessons, config: CloningConfig) -> None:
         seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "of": config.epochs, "loss": loss})  # noqa: E731
-        floor = self.task.observation_scale
+        floor = self.task.observation.numbers("scale")
         losses = clone(self.policy, lessons.seen, lessons.labels, config, self.rng, scale_floor=floor, progress=seen)
         self.card["cloning_loss"] = losses[-1]
 

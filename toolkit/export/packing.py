@@ -119,10 +119,6 @@ off is not where it was sent, whatever the policy bears."""
 STEP_MARGIN, STEP_FLOOR = 1.5, 0.2
 """Change of an action entry per tick."""
 JUMP_MARGIN = 3.0
-JUMP_FLOOR = {"finger": 0.15, "closing_progress": 0.1, "grasp_position": 0.03, "grasp_rotation": 0.15, "object_from_grasp": 0.03,
-              "object_rotation": 0.3, "goal_from_object": 0.03}
-"""Change of an observation entry per tick that is never called a jump, in the entry's unit."""
-
 OBJECT, ARM_PREFIX = "object", "robot0_"
 """What scene.xml calls the object, and robosuite's prefix of an arm's names."""
 GOAL = "set once per policy step from the achieved pose, in the base site's frame, with which it moves until the next"
@@ -135,16 +131,6 @@ FRAMES = {
     "gripper": "no frame: the gripper's own command",
     "quaternions": "w first",
 }
-OBSERVATION_MEANING = {
-    "finger": ("rad", "joint", "this finger joint's displacement from its start angle, see fingers; 0 where the gripper has no such joint"),
-    "closing_progress": ("1", "gripper", "of the integrated closing command since the start: -1 at the preshape, +1 fully closed"),
-    "grasp_position": ("m", "task", "grasp frame origin from its start position"),
-    "grasp_rotation": ("1", "task", "grasp frame's rotation from its start: axis times sine of the angle"),
-    "object_from_grasp": ("m", "task", "object centre from the grasp frame origin"),
-    "object_rotation": ("1", "task", "object's rotation from upright at zero yaw: axis times sine of the angle"),
-    "goal_from_object": ("m", "task", "goal from the object centre"),
-}
-"""Observation entry (or its part before the slash) -> unit, frame, meaning."""
 ACTION_NAMES = (*(f"grasp_{kind}_{axis}" for kind in ("translation", "rotation") for axis in "xyz"), "gripper")
 ACTION_UNITS = ("controller.translation_m",) * 3 + ("controller.rotation_rad",) * 3 + ("1",)
 """1 is one of these; the gripper's entry counts by its sign."""
@@ -164,7 +150,7 @@ def check_records(manifest: Manifest, where: Path) -> None:
     Raises:
         ToolkitError: an entry of another name, place, size, unit or frame.
     """
-    wanted = [(name, size, *OBSERVATION_MEANING[name.split("/")[0]][:2]) for name, size in OBSERVATION.items()]
+    wanted = [(name, entry.size, entry.unit, entry.frame) for name, entry in OBSERVATION.entries.items()]
     found = [(entry.name, entry.size, entry.unit, entry.frame) for entry in manifest.observation]
     wanted_action = list(zip(ACTION_NAMES, ACTION_UNITS, strict=True))
     found_action = [(entry.name, entry.unit) for entry in manifest.action]
@@ -447,14 +433,12 @@ def _controller(plant: Plant, base: tuple[bool, np.ndarray, np.ndarray], respons
 def _observation(calm: Played, noisy: Played) -> tuple[Observed, ...]:
     rows = np.concatenate(calm.observations + noisy.observations)
     step, any_step = datasheet.largest_step(calm.observations), datasheet.largest_step(calm.observations + noisy.observations)
-    out, at = [], 0
-    for name, size in OBSERVATION.items():
-        kind, part = name.split("/")[0], slice(at, at + size)
-        unit, frame, meaning = OBSERVATION_MEANING[kind]
-        jump = np.maximum(JUMP_MARGIN * any_step[part], JUMP_FLOOR[kind])
-        out.append(Observed(name, size, unit, frame, meaning, vector(rows[:, part].min(axis=0)), vector(rows[:, part].max(axis=0)),
-                            vector(step[part]), vector(jump)))
-        at += size
+    out = []
+    for name, entry in OBSERVATION.entries.items():
+        part = OBSERVATION.slice(name)
+        jump = np.maximum(JUMP_MARGIN * any_step[part], entry.jump)
+        out.append(Observed(name, entry.size, entry.unit, entry.frame, entry.meaning, vector(rows[:, part].min(axis=0)),
+                            vector(rows[:, part].max(axis=0)), vector(step[part]), vector(jump)))
     return tuple(out)
 
 
@@ -564,9 +548,7 @@ def _braking(distances: tuple[BrakingDistance, ...], calm: Played, manifest: Man
 
 
 def _watch(calm: Played, task: PickTask) -> Watch:
-    names = [name for name, size in OBSERVATION.items() for _ in range(size)]
-    item = [i for i, name in enumerate(names) if name == "object_from_grasp"]
-    height = names.index("goal_from_object") + 2
+    item, height = OBSERVATION.slice("object_from_grasp"), OBSERVATION.slice("goal_from_object").stop - 1
     held = [np.linalg.norm(rows[rows[0, height] - rows[:, height] > 0.02][:, item], axis=1) for rows in calm.observations]
     apart = max((float(distances.max()) for distances in held if len(distances)), default=0.1)
     return Watch(stale_s=2.0 / task.control_frequency, late_ticks=3, hold_ticks=10, held_m=apart + 0.03, tracking_rad=0.2)

@@ -41,7 +41,7 @@ GROWTH = 5.0
 def numbers(engine: RolloutEngine) -> str:
     """Digest of an episode that a fixed policy plays on the source's robot: equal where simulation and policy have the same bits."""
     space, task = engine.merged.space, engine.merged.task
-    policy = GaussianPolicy(task.observation_names, task.action_names, np.random.default_rng(0))
+    policy = GaussianPolicy(task.observation.names, task.action.names, np.random.default_rng(0))
     (episode,) = engine.play(policy.act, [space.beta(space.names[0])], [0])
     return hashlib.sha256(episode.observations.tobytes() + episode.actions.tobytes()).hexdigest()[:12]
 

@@ -141,7 +141,7 @@ def replay(plant: Drivable, divergence: Divergence) -> Replay:
     model, data, action = plant.model, plant.data, divergence.actions[-1]
     wanted = {"state": mujoco.mj_stateSize(model, STATE), "command": plant.command.size, "goal": 3}
     found = {name: getattr(divergence, name).size for name in wanted}
-    if wanted != found or action.size != len(plant.task.action_names):
+    if wanted != found or action.size != len(plant.task.action.names):
         raise ToolkitError(f"the dump's sizes {found} are not {wanted} of {', '.join(divergence.robots)}; the robots have changed "
                            "since, so play it with the version that wrote it")
     plant.begin(divergence.seed)

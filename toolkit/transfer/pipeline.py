@@ -217,7 +217,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 Explored(job.task.explored, job.task.responding), self._bends())
+                                 Explored(job.task.observation.numbers("explored"), job.task.action.numbers("explored")), self._bends())
         if resume:
             try:
                 self.transfer.restore()

@@ -73,7 +73,7 @@ class RolloutsPage:
         model = merged.template
         scalar = np.flatnonzero(np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)))
         self._joints = model.jnt_qposadr[scalar]
-        named = {"joints": [model.joint(joint).name for joint in scalar], "action": merged.task.action_names, "reward": ["reward"]}
+        named = {"joints": [model.joint(joint).name for joint in scalar], "action": merged.task.action.names, "reward": ["reward"]}
         for key, names in named.items():
             stream.static(f"{self.root}/{key}", rr.SeriesLines(names=names))
 
