@@ -1,5 +1,7 @@
 """bench: the commands that measure the toolkit itself."""
 
+import os
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -161,6 +163,60 @@ def _show_engine(found: dict) -> None:
               f"{scale['bytes_per_environment'] / 2**20:.1f} MiB, one per thread.")
     machine = found["machine"]
     print(f"{machine['cores']} cores; load {machine['load_before']:.1f} before, {machine['load_after']:.1f} after, this command included.")
+
+
+@bench.command(name="cluster")
+@helped
+def bench_cluster(
+    source: str = "adroit",
+    targets: tuple[str, ...] = ("kinova3",),
+    task: str = TASK,
+    cluster: str | None = None,
+    actors: tuple[int, ...] | None = None,
+    episodes: int = 48,
+    rounds: int = 3,
+    paths: int = 3,
+    batch: int = 24,
+    json: bool = False,
+) -> None:
+    """Measure episodes on a Ray cluster against this machine's own engine: rate, bits, bytes, time to start.
+
+    Args:
+        source: the robot whose expert plays.
+        targets: towards which its robots are changed.
+        task: what it does.
+        cluster: auto, or HOST:PORT of the head; default: two nodes on this machine, begun for the measurement and ended after it.
+        actors: how many; several numbers are measured one after the other; default: 1 and this machine's processors.
+        episodes: of a batch.
+        rounds: of each racer, in turns; the fastest counts.
+        paths: of a transfer that are played side by side, for the rates that are worked out for larger clusters.
+        batch: its episodes per update, for the same.
+        json: print one JSON object.
+    """
+    cores = len(os.sched_getaffinity(0))
+    actors = actors or tuple(sorted({1, cores}))
+    if min(*actors, episodes, rounds, paths, batch) < 1:
+        raise ToolkitError(f"actors are {actors}, episodes {episodes}, rounds {rounds}, paths {paths} and batch {batch}; give at least 1")
+    lab = make_lab(source, targets, task)
+    from toolkit.benchmarks.cluster import local_nodes, measure_cluster
+    from toolkit.expert.shelf import load_expert
+
+    policy, _ = load_expert(source, find_task(task))
+    with Progress("cluster", quiet=json) as progress, ExitStack() as stack:
+        shares = (max(actors) - max(actors) // 2, max(actors) // 2)
+        address = cluster or local_nodes(stack, [share for share in shares if share])
+        found = measure_cluster(lab, address, policy, actors, episodes, rounds, paths, batch, progress.show)
+    if json:
+        emit(found, True, "")
+        return
+    table("Episodes on the cluster and on as many threads of this machine",
+          ["actors", "start", "episodes/s", "this machine", "ratio", "same bits"],
+          [[row["actors"], f"{row['start_s']:.1f} s", f"{row['episodes_per_s']:.2f}", f"{row['local_episodes_per_s']:.2f}",
+            f"{row['ratio_to_local']:.2f}", "yes" if row["same_bits"] else "NO"] for row in found["rows"]])
+    table(f"Worked out for {paths} paths at once with {batch} episodes per update", ["cores", "busy", "episodes/s"],
+          [[row["cores"], row["busy"], f"{row['episodes_per_s']:.1f}"] for row in found["projected"]])
+    print(f"An episode takes a core {found['episode_s']:.2f} s; {found['bytes_sent'] / 1024:.0f} KiB go out with it and "
+          f"{found['bytes_returned'] / 1024:.0f} KiB come back. {found['cores']} cores, load {found['load']:.1f}.")
 
 
 @bench.command(name="walk")

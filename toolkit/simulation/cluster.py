@@ -149,6 +149,23 @@ class Cluster:
                         "`ray status`, add a node, and continue with --resume"
                     ) from None
 
+    def wait(self) -> None:
+        """Until every actor that was asked for is ready.
+
+        Raises:
+            ToolkitError: one was refused, or has found no room in time.
+        """
+        limit = time.monotonic() + self._start
+        while self.ready < self.asked:
+            if self._refusal:
+                raise ToolkitError(self._refusal)
+            if time.monotonic() > limit:
+                raise ToolkitError(
+                    f"only {self.ready} of {self.asked} actors found room on the Ray cluster at {self.address} within {self._start:.0f} s; "
+                    "ask for fewer, or look at `ray status`"
+                )
+            time.sleep(0.05)
+
     def give_back(self, actor: Any) -> None:
         """The actor has nothing to do any more."""
         self._idle.put(actor)
@@ -266,14 +283,24 @@ class ClusterEngine(Engine):
         return {"robots": names, "native": self._native is not None, "task": self.merged.task.name}
 
 
-def _connected(address: str) -> tuple[Any, bool]:
-    """Ray, connected, and whether the connection was made now."""
+def imported_ray() -> Any:
+    """Ray, which reports nothing to its makers.
+
+    Raises:
+        ToolkitError: it is not installed.
+    """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
         import ray.exceptions
     except ImportError:
-        raise ToolkitError("--cluster needs Ray, which is not installed; pip install 'meta-evolve[ray]' on all nodes") from None
+        raise ToolkitError("a cluster needs Ray, which is not installed; pip install 'meta-evolve[ray]' on all nodes") from None
+    return ray
+
+
+def _connected(address: str) -> tuple[Any, bool]:
+    """Ray, connected, and whether the connection was made now."""
+    ray = imported_ray()
     if ray.is_initialized():
         return ray, False
     host, _, port = address.rpartition(":")

@@ -1,0 +1,91 @@
+"""Episodes on a Ray cluster against this machine's own engine: how fast, with which bits, at what cost in bytes and time to start."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+
+from toolkit.learning.episode import Episode
+from toolkit.learning.policy import GaussianPolicy
+from toolkit.morphology.lab import Lab
+from toolkit.simulation.cluster import Cluster, ClusterEngine, imported_ray
+from toolkit.simulation.rollout import RolloutEngine
+
+CORES = (16, 256, 4096)
+"""Processors for which a rate is worked out from what was measured."""
+STORE = 100 * 2**20
+"""Bytes of a node's object store; an episode passes through it only where it is larger than what Ray sends with an answer."""
+
+
+def local_nodes(stack: ExitStack, processors: Sequence[int]) -> str:
+    """Address of a cluster of nodes on this machine, one per number of processors, which ends with the ``stack``."""
+    imported_ray()
+    from ray.cluster_utils import Cluster as Nodes
+
+    head = {"num_cpus": processors[0], "include_dashboard": False, "object_store_memory": STORE}
+    nodes = Nodes(initialize_head=True, head_node_args=head)
+    stack.callback(nodes.shutdown)
+    for count in processors[1:]:
+        nodes.add_node(num_cpus=count, object_store_memory=STORE)
+    return nodes.address
+
+
+def same_bits(found: Sequence[Episode], wanted: Sequence[Episode]) -> bool:
+    """Whether all arrays, counts and endings of the episodes are equal bit for bit."""
+    pairs = zip(found, wanted, strict=True)
+    return all(np.array_equal(value, getattr(other, name)) for one, other in pairs for name, value in vars(one).items())
+
+
+def measure_cluster(
+    lab: Lab, address: str, policy: GaussianPolicy, actors: Sequence[int], episodes: int, rounds: int, paths: int, batch: int,
+    progress: Callable[[str, str], None] = lambda title, detail: None,
+) -> dict[str, Any]:
+    """What ``meta-evolve bench cluster --json`` prints.
+
+    Args:
+        lab: whose merged robot plays, on robots between its source and its targets.
+        address: of the cluster.
+        policy: that plays, under its noise.
+        actors: numbers of them that are tried, each against as many threads of this machine.
+        episodes: of a batch.
+        rounds: of each racer, in turns; the fastest counts.
+        paths, batch: of a transfer for which ``projected`` is worked out: paths side by side, and episodes of an update.
+        progress: called with what is being measured.
+    """
+    space, rng = lab.space, np.random.default_rng(0)
+    source, targets = space.beta(space.names[0]), [space.beta(name) for name in space.names[1:]]
+    alphas = [source + rng.uniform() * (targets[i % len(targets)] - source) for i in range(episodes)]
+    seeds, rows = list(range(episodes)), []
+    for count in actors:
+        progress("cluster", f"{count} actors")
+        began = time.perf_counter()
+        cluster = Cluster(lab, address, count)
+        cluster.wait()
+        start_s = time.perf_counter() - began
+        there, here = ClusterEngine(cluster), RolloutEngine(lab.merged, cluster.asked)
+        try:
+            times, same = {there: np.inf, here: np.inf}, True
+            for engine in (there, here):
+                engine.play(policy.act, alphas[:count], seeds[:count])  # the first episode compiles
+            for _ in range(rounds):
+                played = []
+                for engine in times:
+                    began = time.perf_counter()
+                    played.append(engine.play(policy.act, alphas, seeds))
+                    times[engine] = min(times[engine], time.perf_counter() - began)
+                same = same and same_bits(*played)
+            rows.append({"actors": cluster.asked, "start_s": start_s, "episodes_per_s": episodes / times[there], "same_bits": same,
+                         "local_episodes_per_s": episodes / times[here], "ratio_to_local": times[here] / times[there],
+                         "lost": cluster.lost})
+        finally:
+            there.close(), here.close(), cluster.close()
+    sent = policy.parameters.nbytes + sum(array.nbytes for array in policy.layers()[1:3])
+    returned = float(np.mean([sum(np.asarray(value).nbytes for value in vars(episode).values()) for episode in played[0]]))
+    seconds = rows[-1]["actors"] / rows[-1]["episodes_per_s"]
+    busy = {cores: min(cores, paths * batch) for cores in CORES}
+    projected = [{"cores": cores, "busy": count, "episodes_per_s": count / seconds} for cores, count in busy.items()]
+    return {"rows": rows, "bytes_sent": sent, "bytes_returned": returned, "episode_s": seconds, "paths": paths, "batch": batch,
+            "projected": projected, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg()[0]}
