@@ -9,6 +9,8 @@ import pytest
 
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
+from toolkit.evaluation.success import evaluate_compiled, evaluate_native
+from toolkit.expert.shelf import load_expert
 from toolkit.learning.policy import MeanActor
 from toolkit.morphology.lab import Lab
 from toolkit.runs.provenance import code_digest
@@ -85,6 +87,14 @@ def test_the_unmodified_robot_plays_the_same_bits(cluster, task, batch):
     here, there = NativeEngine(ROBOTS[TARGET], task), ClusterEngine(cluster, ROBOTS[TARGET])
     assert_same(there.play(actors, alphas, seeds), here.play(actors, alphas, seeds))
     here.close(), there.close()
+
+
+def test_success_on_the_unmodified_robots_own_step_is_the_same(cluster, task):
+    """Outcomes of the shipped expert, which succeeds on some seeds only."""
+    expert, _ = load_expert("adroit", task)
+    here = evaluate_native(expert, ROBOTS[TARGET], task, 4, processes=1)
+    assert evaluate_native(expert, ROBOTS[TARGET], task, 4, cluster=cluster) == here
+    assert evaluate_compiled(expert, ROBOTS[TARGET], task, 4, cluster=cluster) == evaluate_compiled(expert, ROBOTS[TARGET], task, 4)
 
 
 def test_an_actors_error_is_the_callers(cluster, batch):

@@ -84,7 +84,7 @@ def measure_cluster(
             there.close(), here.close(), cluster.close()
     sent = policy.parameters.nbytes + sum(array.nbytes for array in policy.layers()[1:3])
     returned = float(np.mean([sum(np.asarray(value).nbytes for value in vars(episode).values()) for episode in played[0]]))
-    seconds = rows[-1]["actors"] / rows[-1]["episodes_per_s"]
+    seconds = min(row["actors"] / row["episodes_per_s"] for row in rows)
     busy = {cores: min(cores, paths * batch) for cores in CORES}
     projected = [{"cores": cores, "busy": count, "episodes_per_s": count / seconds} for cores, count in busy.items()]
     return {"rows": rows, "bytes_sent": sent, "bytes_returned": returned, "episode_s": seconds, "paths": paths, "batch": batch,

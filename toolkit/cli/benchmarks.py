@@ -32,6 +32,7 @@ def bench_transfer(
     preset: str = "full",
     out: Path | None = None,
     play: bool = True,
+    cluster: str | None = None,
     json: bool = False,
 ) -> None:
     """Play every run of a suite that is not finished yet, then rebuild the page of results from the run folders.
@@ -45,6 +46,7 @@ def bench_transfer(
         preset: of every run, as in transfer.
         out: folder of the run folders; the page is <out>.md; default: the suite's own in docs/.
         play: --no-play only rebuilds the page.
+        cluster: Ray cluster that plays the episodes, as in transfer; the paths of a tree are then played side by side.
         json: print one JSON object of all finished runs: rows (cost and success per method, task and targets, over seeds) and ratios (each
             tree beside the independent paths to its targets).
     """
@@ -56,7 +58,7 @@ def bench_transfer(
         raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(entries)}")
     failed, out = {}, out or usual
     if play:
-        failed = _play_suite({name: entries[name].job(preset) for name in only or entries}, out, quiet=json)
+        failed = _play_suite({name: entries[name].job(preset) for name in only or entries}, out, cluster, quiet=json)
     from toolkit.benchmarks.paper import PAPER
     from toolkit.benchmarks.results import finished_runs, results_json, write_results
 
@@ -70,7 +72,7 @@ def bench_transfer(
         raise ToolkitError("; ".join(trouble))
 
 
-def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str]:
+def _play_suite(jobs: "dict[str, Job]", out: Path, cluster: str | None, quiet: bool) -> dict[str, str]:
     """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
     from toolkit.cli.training import record_run
     from toolkit.expert.shelf import load_expert
@@ -85,7 +87,8 @@ def _play_suite(jobs: "dict[str, Job]", out: Path, quiet: bool) -> dict[str, str
             continue
         with Progress(name, quiet) as progress:
             try:
-                Pipeline(job, folder, (folder / "config.json").is_file(), progress.transfer(job.transfer), record_run).play()
+                resume, paths = (folder / "config.json").is_file(), 1 if cluster is None else len(job.targets)
+                Pipeline(job, folder, resume, progress.transfer(job.transfer), record_run, cluster, paths).play()
             except ToolkitError as error:
                 failed[name] = str(error)
     return failed

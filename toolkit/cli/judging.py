@@ -1,5 +1,6 @@
 """evaluate, verify: success of a trained or exported policy."""
 
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +26,7 @@ def evaluate(
     native: bool = False,
     episodes: int = 100,
     seed: int = 0,
+    cluster: str | None = None,
     json: bool = False,
 ) -> None:
     """Measure success on F(beta), or with --native on the unmodified robosuite robot, on seeds that training never saw.
@@ -38,30 +40,36 @@ def evaluate(
         native: play through robosuite's own environment and step.
         episodes: per target.
         seed: shifts the evaluation's seeds.
+        cluster: Ray cluster that plays the episodes, as in transfer. Not for a bundle.
         json: print one JSON object (a list if there are several targets).
     """
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
     from toolkit.evaluation.success import evaluate_merged, evaluate_native
+    from toolkit.simulation.cluster import Cluster, ClusterEngine
     from toolkit.simulation.rollout import RolloutEngine
 
     if is_bundle(run):
         if task is not None:
             raise ToolkitError(f"{run} is a bundle, whose task is written in it; leave --task {task} out")
+        if cluster is not None:
+            raise ToolkitError(f"{run} is a bundle, which is played on this machine alone; leave --cluster {cluster} out")
         result = bundle_success(run, episodes, seed, quiet=json)
         emit(result.to_json(), json, sentence(result))
         return
     content, policies, trouble = expert_policy(run, target) or trained_policies(Path(run), target)
     what = find_task(task or content["task"])
-    lab = None if native else make_lab(content["source"], content["targets"], what.name)
+    lab = None if native and cluster is None else make_lab(content["source"], content["targets"], what.name)
     results = []
-    with Progress("evaluate", quiet=json) as progress:
+    with Progress("evaluate", quiet=json) as progress, ExitStack() as stack:
+        nodes = None if cluster is None else stack.enter_context(closing(Cluster(lab, cluster)))
         for name, policy in policies.items():
             if native:
                 counter = progress.count(f"{name}, unmodified", episodes)
-                results.append(evaluate_native(policy, find_robot(name), what, episodes, seed, progress=counter))
+                results.append(evaluate_native(policy, find_robot(name), what, episodes, seed, progress=counter, cluster=nodes))
             else:
-                results.append(evaluate_merged(policy, RolloutEngine(lab.merged), name, episodes, seed))
+                engine = RolloutEngine(lab.merged) if nodes is None else ClusterEngine(nodes)
+                results.append(evaluate_merged(policy, engine, name, episodes, seed))
     if json:
         emit(results[0].to_json() if len(results) == 1 else [r.to_json() for r in results], True, "")
     for result in [] if json else results:

@@ -21,6 +21,7 @@ from toolkit.morphology.lab import System
 from toolkit.morphology.native_scene import model_sha256
 from toolkit.quiet import start_worker
 from toolkit.runs.seeds import EVALUATION_SEEDS
+from toolkit.simulation.cluster import Cluster, ClusterEngine
 from toolkit.simulation.laws import Playable, native_robot
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
 
@@ -62,7 +63,7 @@ class Evaluation:
         }
 
 
-def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, episodes: int, seed: int = 0) -> Evaluation:
+def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine | ClusterEngine, target: str, episodes: int, seed: int = 0) -> Evaluation:
     """Success of the policy's mean action on F(beta) of ``target``, on seeds that training never saw."""
     beta = engine.merged.space.beta(target)
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
@@ -70,10 +71,12 @@ def evaluate_merged(policy: GaussianPolicy, engine: RolloutEngine, target: str, 
     return Evaluation(target, "merged", episodes, sum(e.success for e in played), sum(e.diverged for e in played), seeds[0])
 
 
-def evaluate_compiled(policy: GaussianPolicy, robot: System, task: Task, episodes: int, seed: int = 0) -> Evaluation:
+def evaluate_compiled(
+    policy: GaussianPolicy, robot: System, task: Task, episodes: int, seed: int = 0, cluster: Cluster | None = None
+) -> Evaluation:
     """As ``evaluate_native``, on the same seeds, with the compiled control step in place of robosuite's: some ten times faster."""
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
-    engine = NativeEngine(robot, task)
+    engine = NativeEngine(robot, task) if cluster is None else ClusterEngine(cluster, robot)
     played = engine.play(MeanActor(policy), [np.zeros(1)] * episodes, seeds)
     engine.close()
     successes, diverged = (sum(getattr(e, key) for e in played) for key in ("success", "diverged"))
@@ -124,6 +127,7 @@ def evaluate_native(
     seed: int = 0,
     processes: int | None = None,
     progress: Callable[[int, int], None] = lambda done, successes: None,
+    cluster: Cluster | None = None,
 ) -> Evaluation:
     """Success of the policy's mean action on the unmodified robosuite robot, through env.step.
 
@@ -134,11 +138,16 @@ def evaluate_native(
         seed: shifts the seeds.
         processes: default: the machine's cores (robosuite's step is Python, so threads would not help).
         progress: called with episodes done and successes so far.
+        cluster: plays the episodes of a policy, with the same outcomes; a bundle is always played here.
     """
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
     workers = processes or len(os.sched_getaffinity(0))
     successes, diverged = 0, 0
-    for done, (success, blew_up) in enumerate(_outcomes(robot, task, policy, seeds, workers), start=1):
+    if cluster is None or isinstance(policy, Path):
+        outcomes = _outcomes(robot, task, policy, seeds, workers)
+    else:
+        outcomes = cluster.judged(robot, policy.mean, seeds)
+    for done, (success, blew_up) in enumerate(outcomes, start=1):
         successes, diverged = successes + success, diverged + blew_up
         progress(done, successes)
     return Evaluation(robot.name, "native", episodes, successes, diverged, seeds[0])

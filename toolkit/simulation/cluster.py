@@ -10,7 +10,8 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -26,6 +27,7 @@ from toolkit.morphology.lab import Lab, System
 from toolkit.quiet import silence_robosuite
 from toolkit.runs.provenance import code_digest, recorded_versions
 from toolkit.simulation.divergence import Divergence
+from toolkit.simulation.laws import Playable, native_robot
 from toolkit.simulation.rollout import Actor, Engine, NativeEngine, RolloutEngine
 
 PATIENCE = 120.0
@@ -61,8 +63,9 @@ class Player:
     def __init__(self, source: System, targets: Sequence[System], task: Task) -> None:
         silence_robosuite()
         self._engine = RolloutEngine(Lab(source, targets, task).merged, threads=1)
-        self._robots, self._task = {robot.name: robot for robot in targets}, task
+        self._robots, self._task = {robot.name: robot for robot in (source, *targets)}, task
         self._natives: dict[str, NativeEngine] = {}
+        self._environments: dict[str, Playable] = {}
 
     def identity(self) -> tuple[str, dict[str, Any]]:
         """Name of the machine, and its identity."""
@@ -75,6 +78,13 @@ class Player:
         if native not in self._natives:
             self._natives[native] = NativeEngine(self._robots[native], self._task, threads=1)
         return self._natives[native].one(actor, alpha, seed)
+
+    def judge(self, native: str, act: Callable[[np.ndarray], np.ndarray], seed: int) -> tuple[bool, bool]:
+        """Whether an episode on the unmodified robot of that name, by its environment's own step, succeeded, and whether it diverged."""
+        if native not in self._environments:
+            self._environments[native] = native_robot(self._robots[native], self._task)
+        robot = self._environments[native]
+        return robot.play(act, seed), robot.diverged
 
 
 class Cluster:
@@ -129,6 +139,39 @@ class Cluster:
         for _ in range(more):
             self._begin()
 
+    def call(self, method: str, *arguments: Any) -> Any:
+        """What a method of Player answers to these arguments, the last of them an episode's seed; whichever actor gives the answer.
+
+        Raises:
+            ToolkitError: as of ``borrow``, or the method's own; or actors are lost again and again with that episode.
+        """
+        errors = self._ray.exceptions
+        for _ in range(ATTEMPTS):
+            actor = self.borrow()
+            try:
+                answer = self._ray.get(getattr(actor, method).remote(*arguments), timeout=self.patience)
+            except errors.RayTaskError as error:
+                self.give_back(actor)
+                raise error.cause if isinstance(error.cause, ToolkitError) else error from None
+            except (errors.RayError, ConnectionError):
+                self.lose(actor)
+            else:
+                self.give_back(actor)
+                return answer
+        raise ToolkitError(
+            f"{ATTEMPTS} actors of the Ray cluster at {self.address} were lost in turn with the episode of seed {arguments[-1]}; look at "
+            "the memory of its nodes, and continue with --resume"
+        )
+
+    def judged(self, robot: System, act: Callable[[np.ndarray], np.ndarray], seeds: Sequence[int]) -> Iterator[tuple[bool, bool]]:
+        """As of Player.judge, of every seed in order."""
+        self.grow()
+        pool = ThreadPoolExecutor(self.asked)
+        try:
+            yield from pool.map(lambda seed: self.call("judge", robot.name, act, seed), seeds)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
     def borrow(self) -> Any:
         """An actor that has nothing to do.
 
@@ -136,8 +179,8 @@ class Cluster:
             ToolkitError: there has been none for long, or one was refused.
         """
         while True:
-            if self._refusal:
-                raise ToolkitError(self._refusal)
+            if self._refusal or self._closed.is_set():
+                raise ToolkitError(self._refusal or f"the connection to the Ray cluster at {self.address} is closed; begin another")
             try:
                 return self._idle.get(timeout=0.5)
             except Empty:
@@ -176,8 +219,9 @@ class Cluster:
             self.ready -= 1
             self.lost += 1
             self._alive = time.monotonic()
-        self._drop(actor)
-        self._begin()
+        if not self._closed.is_set():
+            self._drop(actor)
+            self._begin()
 
     def close(self) -> None:
         """End the actors, and the connection if it was made here."""
@@ -258,25 +302,8 @@ class ClusterEngine(Engine):
 
     def one(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
         """See Engine."""
-        import ray
-        from ray.exceptions import RayError, RayTaskError
-
-        for _ in range(ATTEMPTS):
-            player = self.cluster.borrow()
-            try:
-                episode, divergence = ray.get(player.play.remote(self._native, actor, alpha, seed), timeout=self.cluster.patience)
-            except RayTaskError as error:
-                self.cluster.give_back(player)
-                raise error.cause if isinstance(error.cause, ToolkitError) else error from None
-            except (RayError, ConnectionError):
-                self.cluster.lose(player)
-            else:
-                self.cluster.give_back(player)
-                return replace(episode), divergence
-        raise ToolkitError(
-            f"{ATTEMPTS} actors of the Ray cluster at {self.cluster.address} were lost in turn with the episode of seed {seed}; "
-            "look at the memory of its nodes, and continue with --resume"
-        )
+        episode, divergence = self.cluster.call("play", self._native, actor, alpha, seed)
+        return replace(episode), divergence  # its arrays are read-only again
 
     def _scene(self) -> dict[str, Any]:
         names = self.merged.space.names if self._native is None else (self._native,)

@@ -266,9 +266,9 @@ class Pipeline:
             self.story.summary(summary(report, self.tree))
             return report
         finally:
-            self.engine.close()
             if self.cluster is not None:
-                self.cluster.close()
+                self.cluster.close()  # first: the engine waits for answers
+            self.engine.close()
             self.story.note(self.engine.trouble)
             cost = self.story.finish()
             self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.story.trouble)})
@@ -340,7 +340,7 @@ class Pipeline:
             return json.loads(file.read_text(encoding="utf-8"))
         episodes, found = self.job.evaluation_episodes, {}
         for robot in self.job.targets:
-            found[robot.name] = evaluate_compiled(expert, robot, self.job.task, episodes).to_json()
+            found[robot.name] = evaluate_compiled(expert, robot, self.job.task, episodes, cluster=self.cluster).to_json()
             self.watch({"event": "untrained", **found[robot.name]})
         self.run.write_json("untrained", found)
         return found
@@ -351,7 +351,7 @@ class Pipeline:
         self.watch({"event": "evaluating", "target": name, "episodes": episodes})
         return {
             "merged": evaluate_merged(policy, self.engine, name, episodes),
-            "native": evaluate_native(policy, robot, self.job.task, episodes),
+            "native": evaluate_native(policy, robot, self.job.task, episodes, cluster=self.cluster),
         }
 
     def _randomised(self, policies: dict[str, GaussianPolicy]) -> dict[str, Any]:
