@@ -197,7 +197,8 @@ def test_an_entry_of_a_suite_that_fails_lets_the_others_play(tmp_path, monkeypat
     played = []
 
     class Fake:
-        def __init__(self, job, folder, resume, watch, recording):
+        def __init__(self, job, folder, resume, watch, recording, cluster, paths):
+            assert (cluster, paths) == (None, 1), "without a cluster one path after the other"
             self.name = folder.name
 
         def play(self):

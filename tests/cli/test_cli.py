@@ -208,7 +208,7 @@ def test_an_expert_is_evaluated_by_name_and_from_its_run_folder(capsys, monkeypa
     policy.save(Path("expert/adroit.policy.safetensors"))
     asked = []
 
-    def played(policy, robot, task, episodes, seed, progress):
+    def played(policy, robot, task, episodes, seed, progress, cluster):
         asked.append((policy.parameters, robot.name, task.name))
         return evaluation.Evaluation(robot.name, "native", episodes, episodes, 0, seed)
 
