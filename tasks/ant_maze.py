@@ -1,20 +1,6 @@
-"""An ant finds its way out of a maze: the paper's second experiment, on a maze of our own, as its is not public.
+"""An ant finds its way out of a maze (tasks/maze.py): the paper's second experiment."""
 
-A U of five cells of 3 m around a wall, whose last cell is open to the outside (x to the east, y to the north, the centre at 0):
-
-    +-----------+
-    | start ->  |
-    +-----+     |
-    |#####|  |  |
-    +-----+  v  |
-    <- out <-   |
-    ------------+
-
-The way is 12.5 m, so that an episode of 10 s, as long as the paper's, asks for a mean speed of 1.25 m/s from rest: ants run twice as fast,
-but heavier ones have to be able to leave it as well.
-"""
-
-from collections.abc import Callable
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,57 +9,42 @@ import numpy as np
 
 from robots.ant import ANTS, gymnasium_ant
 from robots.model_robot import ModelRobot
-from tasks.ant_symmetry import eastwards, given_back
+from tasks.maze import CELL, OUT_EAST, OUT_NORTH, START, WALL_HEIGHT, WALLS, Way, WayEast, WayOut
 from tasks.record import Entry, Record
 from tasks.task import PractisedTask
 
 if TYPE_CHECKING:
     import gymnasium
 
-CELL = 3.0
-"""Width [m] of the corridors; an ant's feet stand 2 m apart."""
-WALL_HEIGHT, WALL_WIDTH = 1.0, 0.3
-"""Of the walls [m]; that in the middle is a cell wide."""
-EAST, NORTH = CELL, 1.5 * CELL
-"""Distances [m] of the outer walls' inner faces from the centre."""
-OUT_EAST, OUT_NORTH = EAST + WALL_WIDTH, NORTH + WALL_WIDTH
-"""Distances [m] of their outer faces."""
-WALLS: dict[str, tuple[float, float, float, float]] = {
-    "north": (-OUT_EAST, OUT_EAST, NORTH, OUT_NORTH),
-    "east": (EAST, OUT_EAST, -NORTH, NORTH),
-    "south": (-OUT_EAST, OUT_EAST, -OUT_NORTH, -NORTH),
-    "west": (-OUT_EAST, -EAST, -CELL / 2, NORTH),
-    "middle": (-EAST, 0.0, -CELL / 2, CELL / 2),
-}
-"""Least and greatest x, least and greatest y [m] of each wall."""
-START = (-CELL / 2, CELL)
-"""Centre of the first cell [m]."""
 START_SHIFT, START_YAW = 0.15, 0.1
 """Half widths of the uniform noise on where the ant starts [m] and how it is turned [rad]: its legs are straight there, and those of the
 longest and widest one nearly reach the walls."""
-ALONG = 0.5
-"""Half width [m] of the uniform noise about the centre line, where an ant starts anywhere along it to learn."""
-SCATTERED = 0.75
-"""Share of the episodes to learn from that start there."""
-LOOK_AHEAD = 1.2
-"""How far ahead on the centre line [m] an ant heads that is guided along it."""
-FLOOR_YAW = 0.8
-"""Half width [rad] of the uniform yaw from which an ant learns to run east; by symmetry it never needs more than an eighth of a turn."""
 RESET_NOISE = 0.1
 """Half width of the uniform noise on every number of the start's configuration, and standard deviation of its speeds, as in Ant-v5."""
+LOOK_AHEAD = 1.2
+"""The way's direction is that to its point so far ahead [m]: whoever keeps to it comes back to the centre line, and turns into bends."""
+SCATTERED, BESIDE, TURNED = 0.75, 0.5, 0.8
+"""Where an ant starts to learn: share of the episodes that begin anywhere along the way, half width of the uniform noise about its centre
+line [m], and of the yaw from its direction [rad]."""
+FLOOR_YAW = 1.8
+"""Half width [rad] of the uniform yaw from which an ant learns to run on the floor: more than a bend can leave it with."""
+FACING = 1.0
+"""How much progress [m/s] it is worth to an ant that learns to face where it goes; a quarter turn aside costs it all, once."""
 
 _JOINTS = [f"{joint}_{leg}" for leg in range(1, 5) for joint in ("hip", "ankle")]
 # Thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns.
 OBSERVATION = Record({
     "height": Entry(1, "m", "world", "of the torso", scale=0.1, explored=0.03),
-    "orientation": Entry(4, "1", "world", "of the torso, quaternion, w first", scale=0.2),
+    "orientation": Entry(4, "1", "way", "of the torso, quaternion, w first and not negative", scale=0.2),
     **{name: Entry(1, "rad", "joint", "angle", scale=0.3, explored=0.05) for name in _JOINTS},
-    "velocity": Entry(3, "m/s", "world", "of the torso", scale=1.0, explored=0.3),
+    "velocity": Entry(3, "m/s", "way", "of the torso", scale=1.0, explored=0.3),
     "angular_velocity": Entry(3, "rad/s", "torso", "of the torso", scale=1.0),
     **{f"{name}_speed": Entry(1, "rad/s", "joint", "speed", scale=5.0) for name in _JOINTS},
-    "place": Entry(2, "cells", "world", "x and y of the torso", scale=0.2, explored=0.1),
+    "aside": Entry(1, "cells", "way", "place of the torso to the left of the centre line", scale=0.2, explored=0.1),
+    "left": Entry(1, "cells", "way", "of the way, to the opening", scale=1.0),
 })
-"""The observation record: Ant-v5's without contact forces, and where the ant is."""
+"""The observation record: Ant-v5's without contact forces, and where the ant is, in the frame of the way: its x leads to a point of the
+centre line ahead, its z up. Turned so, the same run is good in every corridor."""
 ACTION = Record({
     f"{joint}_{leg}": Entry(1, "1", "joint", "share of the joint's greatest torque", explored=0.05)
     for leg in (4, 1, 2, 3) for joint in ("hip", "ankle")
@@ -87,11 +58,13 @@ class AntMaze(PractisedTask):
 
     Attributes:
         horizon: policy steps of an episode (paper, appendix, hyperparameters: 200).
-        along: share of episodes that start anywhere along the centre line, to learn from; 0: the task itself.
+        scattered_starts: share of episodes that start anywhere along the way, and turned, to learn from; 0: the task itself.
+        integrator: of the physics; ant.xml's own, or Euler's, which is a third of the work, to learn from.
     """
 
     horizon: int = 200
-    along: float = 0.0
+    scattered_starts: float = 0.0
+    integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_RK4
 
     name = "ant-maze"
     observation = OBSERVATION
@@ -103,7 +76,7 @@ class AntMaze(PractisedTask):
 
     def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
         """The ant at the start's centre in the maze."""
-        spec = _ant_at_the_start(robot)
+        spec = self._open(robot)
         for name, (west, east, south, north) in WALLS.items():
             spec.worldbody.add_geom(
                 name=name, type=mujoco.mjtGeom.mjGEOM_BOX, conaffinity=1, rgba=[0.55, 0.6, 0.65, 1.0],
@@ -112,40 +85,36 @@ class AntMaze(PractisedTask):
             )
         return spec
 
+    def _open(self, robot: ModelRobot) -> mujoco.MjSpec:
+        """Without walls."""
+        spec = gymnasium_ant()
+        spec.option.integrator = self.integrator
+        spec.body("torso").pos[:2] = START
+        robot.change(spec)
+        return spec
+
     def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntInMaze":
         """The ant in the maze."""
-        return AntInMaze(model, data, self.along)
-
-    def progress(self, observations: np.ndarray) -> np.ndarray:
-        """How far along the centre line (N,) [m] the ant is in each observation (N, 29); at the first cell's centre 0, see ``distance``."""
-        return distance(*(observations[:, -2:].T * CELL))
+        return AntInMaze(model, data, self.scattered_starts)
 
     def miss(self, observation: np.ndarray) -> float:
         """Way to the opening that is left [m]."""
-        return LENGTH - float(self.progress(observation[None])[0])
+        return CELL * float(observation[-1])
 
     def practice(self) -> "AntFloor":
         """To run, where nothing is in the way."""
-        return AntFloor()
+        return AntFloor(integrator=mujoco.mjtIntegrator.mjINT_EULER)
 
     def scattered(self) -> "AntMaze":
-        """Most episodes start anywhere along the centre line."""
-        return replace(self, along=SCATTERED)
+        """Most episodes start anywhere along the way."""
+        return replace(self, scattered_starts=SCATTERED, integrator=mujoco.mjtIntegrator.mjINT_EULER)
 
     def gains(self, observations: np.ndarray) -> np.ndarray:
-        """Progress (T,) [m]."""
-        return np.diff(self.progress(observations))
-
-    def guided(self, act: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-        """Who runs east heads for a point of the centre line ahead, and its legs change parts when the ant has turned too far from it."""
-
-        def guided(observations: np.ndarray) -> np.ndarray:
-            places = observations[:, -2:] * CELL
-            ahead = np.array([centre_line(along + LOOK_AHEAD) for along in distance(*places.T)])
-            seen, quarters = eastwards(observations[:, :-2], np.arctan2(*(ahead - places).T[::-1]))
-            return given_back(act(np.column_stack([seen, np.zeros_like(places)])), quarters)
-
-        return guided
+        """Progress along the way (T,) [m], less what it costs to face elsewhere."""
+        _, i, j, _ = observations[1:, 1:5].T
+        w, k = observations[1:, 1], observations[1:, 4]
+        ahead = np.cos(np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k)))
+        return -CELL * np.diff(observations[:, -1]) - FACING / self.control_frequency * (1.0 - ahead)
 
     def environment(self, robot: ModelRobot) -> "gymnasium.Env":
         """The same scene, stepped by gymnasium's AntEnv."""
@@ -156,71 +125,20 @@ class AntMaze(PractisedTask):
 
 @dataclass(frozen=True)
 class AntFloor(AntMaze):
-    """Run east on an open floor, from any yaw within an eighth of a turn. Nothing ends it but a fall; the place is not to be seen."""
+    """Run east on an open floor, turned however. Nothing ends it but a fall."""
 
     horizon: int = 100
 
     def spec(self, robot: ModelRobot) -> mujoco.MjSpec:
         """The ant, and no wall."""
-        return _ant_at_the_start(robot)
+        return self._open(robot)
 
     def scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> "AntOnFloor":
         """The ant on the floor."""
-        return AntOnFloor(model, data)
-
-    def gains(self, observations: np.ndarray) -> np.ndarray:
-        """Way to the east (T,) [m], from the speeds before and after each step."""
-        east = observations[:, 13]
-        return (east[:-1] + east[1:]) / 2 / self.control_frequency
-
-
-def _ant_at_the_start(robot: ModelRobot) -> mujoco.MjSpec:
-    spec = gymnasium_ant()
-    spec.body("torso").pos[:2] = START
-    robot.change(spec)
-    return spec
+        return AntOnFloor(model, data, scattered=1.0)
 
 
 CARDS: dict[str, AntMaze] = {AntMaze.name: AntMaze()}
-
-
-# -- the centre line: straight through cells, round corners about those of the wall in the middle ------------------------------------
-
-_BEND = CELL / 2
-"""Radius [m] of the centre line's bends."""
-_QUARTER = np.pi / 2 * _BEND
-_STRAIGHTS = (-START[0], CELL, OUT_EAST)
-"""Lengths [m] of the centre line's straight parts, the last to the outer face of the opening."""
-LENGTH = sum(_STRAIGHTS) + 2 * _QUARTER
-"""Of the centre line [m], from the first cell's centre to outside."""
-
-
-def distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Arc length [m] of the centre line from the first cell's centre to the point of it that is nearest to (x, y) [m], arrays alike."""
-    first, second, _ = _STRAIGHTS
-    eastwards, westwards = first + x, first + second + 2 * _QUARTER - x
-    turn = first + _BEND * np.arctan2(x, y - _BEND)
-    southwards = first + _QUARTER + _BEND - y
-    again = first + _QUARTER + second + _BEND * np.arctan2(-(y + _BEND), x)
-    east = np.where(y > _BEND, turn, np.where(y >= -_BEND, southwards, again))
-    return np.where(x < 0, np.where(y > 0, eastwards, westwards), east)
-
-
-def centre_line(along: float) -> np.ndarray:
-    """Point (2,) [m] of the centre line at an arc length [m] from the first cell's centre."""
-    first, second, _ = _STRAIGHTS
-    parts = (
-        (first, lambda s: (s - first, CELL)),
-        (_QUARTER, lambda s: (_BEND * np.sin(s / _BEND), _BEND + _BEND * np.cos(s / _BEND))),
-        (second, lambda s: (_BEND, _BEND - s)),
-        (_QUARTER, lambda s: (_BEND * np.cos(s / _BEND), -_BEND - _BEND * np.sin(s / _BEND))),
-        (np.inf, lambda s: (-s, -CELL)),
-    )
-    for length, at in parts:
-        if along < length:
-            return np.array(at(along))
-        along -= length
-    raise AssertionError("the last part has no end")
 
 
 class AntInMaze:
@@ -228,13 +146,14 @@ class AntInMaze:
 
     Args:
         model, data: compiled from AntMaze.spec, or a robot in between.
-        along: AntMaze's.
+        scattered: share of episodes that start anywhere along the way.
     """
 
-    yaw = START_YAW
+    way: Way = WayOut()
+    turned = TURNED
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, along: float = 0.0) -> None:
-        self._model, self._data, self._along = model, data, along
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, scattered: float = 0.0) -> None:
+        self._model, self._data, self._scattered = model, data, scattered
         self._qpos, self._qvel = data.qpos, data.qvel  # views: a property of mjData costs as much as a short function
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -243,49 +162,49 @@ class AntInMaze:
         qpos += rng.uniform(-RESET_NOISE, RESET_NOISE, qpos.size)
         qvel += RESET_NOISE * rng.standard_normal(qvel.size)
         qpos[:2] = np.array(START) + rng.uniform(-START_SHIFT, START_SHIFT, 2)
-        if rng.random() < self._along:
-            qpos[:2] = centre_line(rng.uniform(0.0, LENGTH - CELL / 2)) + rng.uniform(-ALONG, ALONG, 2)
-        yaw, turned = rng.uniform(-self.yaw, self.yaw), np.empty(4)
-        mujoco.mju_mulQuat(turned, np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]), qpos[3:7])
-        qpos[3:7] = turned / np.linalg.norm(turned)
+        yaw = rng.uniform(-START_YAW, START_YAW)
+        if rng.random() < self._scattered:
+            along = rng.uniform(0.0, self.way.length - CELL / 2)
+            qpos[:2] = self.way.point(along) + rng.uniform(-BESIDE, BESIDE, 2)
+            yaw = self.way.direction(along) + rng.uniform(-self.turned, self.turned)
+        qpos[3:7] = _about_z(yaw, qpos[3:7] / np.linalg.norm(qpos[3:7]))
         mujoco.mj_forward(self._model, self._data)
 
     def observe(self) -> np.ndarray:
         """The observation record as a vector (29,)."""
-        qpos = self._qpos
-        return np.concatenate([qpos[2:], self._qvel, qpos[:2] / CELL])
-
-    @property
-    def place(self) -> tuple[float, float]:
-        """x and y of the torso [m]."""
-        return float(self._qpos[0]), float(self._qpos[1])
+        x, y, height, *orientation = self._qpos[:7].tolist()
+        along, aside = self.way.coordinates(x, y)
+        ahead_x, ahead_y = self.way.point(along + LOOK_AHEAD)
+        heading = math.atan2(ahead_y - y, ahead_x - x)
+        c, s = math.cos(heading), math.sin(heading)
+        out = np.empty(OBSERVATION.size)
+        out[0], out[1:5], out[5:13] = height, _about_z(-heading, orientation), self._qpos[7:]
+        out[13:27] = self._qvel
+        out[13], out[14] = c * out[13] + s * out[14], c * out[14] - s * out[13]
+        out[27], out[28] = aside / CELL, (self.way.length - along) / CELL
+        return out
 
     def at_goal(self) -> bool:
         """Whether the torso is beyond the outer face of the west wall, where that is open."""
-        x, y = self.place
+        x, y = self._qpos[:2].tolist()
         return x < -OUT_EAST and abs(y + CELL) < CELL / 2
 
     def lost(self) -> bool:
         """Whether the ant lies on its back, or got over a wall."""
-        x, y = self.place
+        x, y = self._qpos[:2].tolist()
         return self.on_its_back() or ((abs(x) > OUT_EAST or abs(y) > OUT_NORTH) and not self.at_goal())
 
     def on_its_back(self) -> bool:
         """Whether the torso's upper side points below the horizon."""
-        _, i, j, _ = self._qpos[3:7].tolist()
+        i, j = self._qpos[4:6].tolist()
         return i * i + j * j > 0.5
 
 
 class AntOnFloor(AntInMaze):
-    """The scene without walls, where the place is neither seen nor judged."""
+    """The scene without walls."""
 
-    yaw = FLOOR_YAW
-
-    def observe(self) -> np.ndarray:
-        """The observation record, its place 0."""
-        out = super().observe()
-        out[-2:] = 0.0
-        return out
+    way = WayEast()
+    turned = FLOOR_YAW
 
     def at_goal(self) -> bool:
         """Never."""
@@ -294,3 +213,11 @@ class AntOnFloor(AntInMaze):
     def lost(self) -> bool:
         """Whether the ant lies on its back."""
         return self.on_its_back()
+
+
+def _about_z(angle: float, quaternion: "np.ndarray | list[float]") -> tuple[float, float, float, float]:
+    """A rotation, turned about z by an angle [rad] besides: quaternion (4,), w first and not negative."""
+    c, s = math.cos(angle / 2), math.sin(angle / 2)
+    w, x, y, z = quaternion
+    w, x, y, z = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
+    return (w, x, y, z) if w >= 0.0 else (-w, -x, -y, -z)

@@ -6,7 +6,6 @@ drives their robots, by name.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
@@ -111,20 +110,16 @@ class ModelTask(Task):
 
 
 class PractisedTask(ModelTask):
-    """A task whose expert learns from nothing, by reward: on an easier task first, then guided through this one, then by itself."""
+    """A task whose expert learns from nothing, by reward: an easier task first, then this one."""
 
     @abstractmethod
-    def practice(self) -> ModelTask:
-        """The easier task; with the same records, and ``gains`` of its own."""
+    def practice(self) -> "PractisedTask":
+        """The easier task, with the same records."""
 
     @abstractmethod
-    def scattered(self) -> ModelTask:
+    def scattered(self) -> "PractisedTask":
         """This task with starts all over the way to success."""
 
     @abstractmethod
     def gains(self, observations: np.ndarray) -> np.ndarray:
         """How much nearer to success each step (T,) of an episode came, by its observations (T + 1, n_obs), the last one included."""
-
-    @abstractmethod
-    def guided(self, act: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-        """Whoever plays the easier task, guided through this one; both map observations (N, n_obs) to actions (N, n_act)."""

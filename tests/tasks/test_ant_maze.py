@@ -1,14 +1,17 @@
 """The ant's maze: gymnasium's own step agrees with plain mj_step, the opening is the only way out, and only it is success."""
 
+import itertools
 from collections import deque
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from robots import MODEL_ROBOTS
-from tasks.ant_maze import CARDS, CELL, LENGTH, OUT_EAST, OUT_NORTH, START, START_SHIFT, centre_line
+from tasks.ant_maze import CARDS, LOOK_AHEAD, START_SHIFT
+from tasks.maze import CELL, OUT_EAST, OUT_NORTH, START, WayEast, WayOut
 from tasks.task import Judge
 
 TASK = CARDS["ant-maze"]
@@ -76,7 +79,7 @@ def test_far_from_walls_the_source_is_ant_v5(ant):
         data.ctrl[:] = rng.uniform(-0.4, 0.4, model.nu)
         mujoco.mj_step(model, data, nstep=TASK.substeps)
         seen, *_ = env.step(data.ctrl.copy())
-        assert np.abs(scene.observe()[:27] - seen).max() < 1e-9
+        assert np.abs(np.concatenate([data.qpos[2:], data.qvel]) - seen).max() < 1e-9
     assert np.abs(data.qpos[:2] - START).max() < 0.3, "the ant came near a wall"
     assert TASK.control_frequency == pytest.approx(1 / env.dt)
 
@@ -179,38 +182,91 @@ def test_an_episode_ends_outside_and_is_rewarded_at_the_opening_alone(place, rew
     assert env.step(np.zeros(8))[1:3] == (reward, True)
 
 
-# -- the centre line -----------------------------------------------------------------------------------------
+# -- the way -------------------------------------------------------------------------------------------------
 
 
-def test_progress_is_the_centre_lines_arc_length():
-    """Against the length of a fine polyline; and it falls off nowhere in the corridors."""
-    along = np.linspace(0, LENGTH, 4001)
-    points = np.array([centre_line(s) for s in along])
+@pytest.mark.parametrize("way", [WayOut(), WayEast()], ids=["out", "east"])
+def test_coordinates_are_arc_length_and_distance(way):
+    """Against a fine polyline, on the line and beside it."""
+    along = np.linspace(0, way.length, 2001)
+    points = np.array([way.point(s) for s in along])
     polyline = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    seen = np.zeros((len(points), 29))
-    seen[:, -2:] = points / CELL
-    np.testing.assert_allclose(TASK.progress(seen), polyline, atol=1e-5)
-    np.testing.assert_allclose(points[[0, -1]], [START, (-OUT_EAST, -3.0)], atol=1e-9)
-    half = np.array([0.0, 0.0, 1.0])
-    for side in (-1.4, 1.4):
-        tangent = np.gradient(points, axis=0)  # across the seams of straights and bends, hence the millimetres
-        normal = np.cross(half, np.column_stack([tangent, np.zeros(len(points))]))[:, :2]
-        seen[:, -2:] = (points + side * normal / np.linalg.norm(normal, axis=1, keepdims=True)) / CELL
-        np.testing.assert_allclose(TASK.progress(seen), polyline, atol=3e-3, err_msg=f"{side} m beside the centre line")
+    np.testing.assert_allclose(polyline, along, atol=1e-5)
+    for s, point in zip(along[1:-1], points[1:-1], strict=True):
+        left = way.direction(s) + np.pi / 2
+        for aside in (-1.4, 0.0, 1.4):
+            place = point + aside * np.array([np.cos(left), np.sin(left)])
+            np.testing.assert_allclose(way.coordinates(*place), (s, aside), atol=1e-5)
+    np.testing.assert_allclose(points[0], START)
 
 
-def test_starts_to_learn_from_lie_all_along_the_centre_line():
+def test_the_way_out_ends_outside():
+    np.testing.assert_allclose(WayOut().point(WayOut().length), (-OUT_EAST, -CELL), atol=1e-12)
+
+
+def test_starts_to_learn_from_lie_all_along_the_way():
     task = TASK.scattered()
     model = task.spec(MODEL_ROBOTS["ant"]).compile()
     data = mujoco.MjData(model)
     scene = task.scene(model, data)
-    found = []
+    along, yaws, at_start = [], [], 0
     for seed in range(400):
         begin(model, data, scene, seed)
-        found.append(scene.observe())
+        seen = scene.observe()
+        along.append(WayOut().length - task.miss(seen))
+        yaws.append(2 * np.arctan2(seen[4], seen[1]))
+        at_start += (np.abs(data.qpos[:2] - START) <= START_SHIFT).all()
         assert not scene.lost() and not scene.at_goal()
-    along = task.progress(np.array(found))
-    counts = np.histogram(along, bins=6, range=(0, LENGTH - 1.5))[0]
-    assert counts.min() > 15, f"{counts} starts in sixths of the centre line"
-    at_start = (np.abs(np.array(found)[:, -2:] * CELL - START) <= START_SHIFT).all(axis=1)
-    assert 0.18 < at_start.mean() < 0.36
+    counts = np.histogram(along, bins=6, range=(0, WayOut().length - 1.5))[0]
+    assert counts.min() > 15, f"{counts} starts in sixths of the way"
+    assert 0.18 < at_start / 400 < 0.36 and np.std(yaws) > 0.3
+
+
+# -- what is seen --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_observation_is_ant_v5s_in_the_frame_of_the_way(seed):
+    """Against rotations by SciPy, at places all along the way."""
+    task = TASK.scattered()
+    model = task.spec(MODEL_ROBOTS["ant"]).compile()
+    data, way = mujoco.MjData(model), WayOut()
+    scene = task.scene(model, data)
+    begin(model, data, scene, seed)
+    seen = scene.observe()
+    along, aside = way.coordinates(*data.qpos[:2])
+    towards = np.array([*way.point(along + LOOK_AHEAD), 0.0]) - [*data.qpos[:2], 0.0]
+    x = towards / np.linalg.norm(towards)
+    frame = Rotation.from_matrix(np.column_stack([x, np.cross([0, 0, 1], x), [0, 0, 1]]))
+    orientation = frame.inv() * Rotation.from_quat(data.qpos[3:7], scalar_first=True)
+    np.testing.assert_allclose(seen[1:5], orientation.as_quat(canonical=True, scalar_first=True), atol=1e-12)
+    np.testing.assert_allclose(seen[13:16], frame.inv().apply(data.qvel[:3]), atol=1e-12)
+    np.testing.assert_array_equal(seen[[0, *range(5, 13), *range(16, 27)]], [data.qpos[2], *data.qpos[7:], *data.qvel[3:]])
+    np.testing.assert_allclose(seen[27:], [aside / CELL, (way.length - along) / CELL], atol=1e-12)
+
+
+def test_gains_are_the_way_less_what_it_costs_to_face_elsewhere(ant):
+    model, data, scene = ant
+    begin(*ant, 0)
+    seen = [scene.observe()]
+    for _ in range(8):
+        data.ctrl[:] = 0.5
+        mujoco.mj_step(model, data, TASK.substeps)
+        seen.append(scene.observe())
+    seen = np.array(seen)
+    yaws = Rotation.from_quat(seen[1:, 1:5], scalar_first=True).as_euler("ZYX")[:, 0]
+    moved = [TASK.miss(before) - TASK.miss(after) for before, after in itertools.pairwise(seen)]
+    np.testing.assert_allclose(TASK.gains(seen), moved - (1 - np.cos(yaws)) / 20, atol=1e-12)
+
+
+def test_on_the_floor_nothing_is_in_the_way():
+    task = TASK.practice()
+    model = task.spec(MODEL_ROBOTS["ant"]).compile()
+    data = mujoco.MjData(model)
+    scene = task.scene(model, data)
+    begin(model, data, scene, 0)
+    assert model.ngeom == 14 and not scene.lost() and task.observation.names == TASK.observation.names
+    at(data, 300.0, -20.0)
+    assert not scene.lost() and not scene.at_goal()
+    at(data, 0.0, 0.0, upright=False)
+    assert scene.lost()

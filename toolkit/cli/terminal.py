@@ -193,10 +193,9 @@ class Progress:
                 self.show(f"teacher {record['teacher']}", f"{record['kept']} of {record['played']} succeed", now=True)
             elif record["event"] == "visits":
                 self.show("visits", f"the clone succeeds in {record['success']:.0%} of {record['played']}", now=True)
-            elif record["event"] == "practice":
-                self.show("practice", f"reward {record['reward_per_step']:.3f} a step", record["update"] + 1, record["of"])
-            elif record["event"] == "looking on":
-                self.show("looking on", f"round {record['round']} of {record['of']}: success {record['success']:.0%}", now=True)
+            elif record["event"] in ("practice", "progress"):
+                self.show(record["event"], f"reward {record['reward_per_step']:.3f} a step, success {record['success_rate']:.0%}",
+                          record["update"], record["of"])
             elif record["event"] == "cloning":
                 self.show("cloning", f"loss {record['loss']:.4f}", record["epoch"], record["of"])
             else:
