@@ -137,6 +137,7 @@ def test_meshes_fade_where_shapes_change_and_nowhere_else(hands):
     casting, model = casting_of(hands.merged), hands.merged.template
     column = {model.geom(geom).name: own for geom, own in casting.geoms.items()}
     assert column["V_ffproximal"] == SKIN and column["C_ffproximal"] == SHAPE and column["V_forearm"] == ALWAYS
+    assert column["V_ffknuckle"] == SKIN and column["V_wrist"] == ALWAYS, "a knuckle, which touches nothing, goes with the palm"
     assert "C_forearm1" not in column, "what only touches stays hidden where a mesh shows it"
     cast = casting.standing(hands.space.betas)
     shown = opacity(cast.weights, cast.weights.max(axis=1, keepdims=True))
@@ -264,6 +265,16 @@ def test_the_run_becomes_a_film(run, tmp_path):
         frames.append(answer[1].astype(int))
     assert abs(len(frames) - seconds * video.RATE) <= 1
     assert np.abs(frames[0] - frames[-1]).mean() > 0.3, "the crawler has become another"
+
+
+@pytest.mark.parametrize("frequency, frames", [(20.0, list(range(11))), (100.0, [0, 5, 10]), (10.0, sorted([*range(11)] * 2))])
+def test_a_films_episodes_are_as_fast_as_they_were(frequency, frames):
+    """A film has 20 pictures a second, whatever the task has policy steps."""
+    from toolkit.inspection.report import video
+
+    task = replace(CRAWL, control_frequency=frequency, horizon=10, goal=9.0)
+    film = shoot(native_plant(CRAWLER_ROBOTS[0], task), MeanActor(new_learner(task, 0)[0]), 0, np.zeros(1))
+    assert len(film.qpos) == 11 and video._frames(film) == frames
 
 
 def test_what_cannot_be_for_them_is_refused_in_a_sentence(run, capsys):

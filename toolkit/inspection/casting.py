@@ -296,15 +296,16 @@ class ModelCasting(Casting):
     def _drawn(self, model: mujoco.MjModel) -> tuple[dict[int, int], dict[int, int]]:
         """Geoms and sites that are drawn -> their columns of the weights; what stands on the world itself is scenery."""
         rows = self.merged.space.rows
+        touching = model.geom_contype + model.geom_conaffinity > 0
         changing = np.union1d(rows.get("geom_size", []), rows.get("geom_pos", [])).astype(int)
-        changing = changing[model.geom_contype[changing] + model.geom_conaffinity[changing] > 0]
+        changed = set(model.geom_bodyid[changing[touching[changing]]].tolist())
         seen = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] > 0 and model.geom_group[geom] < VISIBLE
                 and geom_colour(model, geom)[3] > 0]
         fading = [geom for geom in seen if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
-                  and model.geom_bodyid[geom] in model.geom_bodyid[changing]]
+                  and _touched(model, touching, int(model.geom_bodyid[geom])) in changed]
         bare = np.unique(model.geom_bodyid[fading])
         shapes = [geom for geom in range(model.ngeom) if geom not in seen and model.geom_bodyid[geom] in bare
-                  and model.geom_contype[geom] + model.geom_conaffinity[geom] > 0]
+                  and touching[geom]]
         geoms = dict.fromkeys(seen, ALWAYS) | dict.fromkeys(fading, SKIN) | dict.fromkeys(shapes, SHAPE)
         sites = [site for site in range(model.nsite) if model.site_group[site] < VISIBLE and model.site_rgba[site, 3] > 0]
         return geoms, dict.fromkeys(sites, ALWAYS)
@@ -394,6 +395,13 @@ class ModelCasting(Casting):
             places, turns, sizes = (np.concatenate(both, axis=1) for both in zip(*pair, strict=True))
             parts[kind] = places, turns, np.where(self._balls[kind][:, None], sizes[..., :1], sizes)
         return Cast(positions, quaternions, shares[None], parts)
+
+
+def _touched(model: mujoco.MjModel, touching: np.ndarray, body: int) -> int:
+    """The body whose shapes touch for a body that has none, as a knuckle: its own, or the next one towards the root."""
+    while body > 0 and not touching[model.geom_bodyid == body].any():
+        body = int(model.body_parentid[body])
+    return body
 
 
 def _hangs_on(model: mujoco.MjModel, body: int, root: int) -> bool:

@@ -86,22 +86,23 @@ class _Stage:
         alphas = np.stack([np.interp(spots, reach, corners[:, k]) for k in range(corners.shape[1])], axis=1)
         return self.casting.standing(np.clip(alphas, 0.0, 1.0))
 
-    def episode(self, phase: Phase, take: Take) -> tuple[Cast, np.ndarray | None, str]:
-        """An episode played again: its robot, its goal (3,) [m] if it is a pick, and how it ended."""
+    def episode(self, phase: Phase, take: Take) -> tuple[Cast, Film]:
+        """An episode played again: its robot, and what happened."""
         policy = phase.play_as(take, self.policy)
         actor = policy.act if take.noise else MeanActor(policy)
         if phase.stage == "evolve":
             film = shoot(merged_plant(self.merged, take.alpha, *self.merged.new()), actor, take.seed, take.alpha)
-            return self.casting.playing(film, take.alpha), _goal(film), film.verdict()
+            return self.casting.playing(film, take.alpha), film
         name = phase.targets[0]
         if name not in self._plants:
             self._plants[name] = self.native(name)
         film = shoot(self._plants[name], actor, take.seed, take.alpha)
-        return self.casting.native(film, name), _goal(film), film.verdict()
+        return self.casting.native(film, name), film
 
 
-def _goal(film: Film) -> np.ndarray | None:
-    return film.goal if isinstance(film, PickFilm) else None
+def _frames(film: Film) -> list[int]:
+    """Which frames make an episode as fast as it was."""
+    return np.arange(0.0, len(film.qpos), 1.0 / (RATE * film.interval)).astype(int).tolist()
 
 
 Scene = tuple[Cast, np.ndarray | None, str, Iterator[int]]
@@ -126,11 +127,12 @@ def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None])
             cast = stage.turning(evolving)
             yield cast, None, f"{path}: the robot turns, on its way to {goals}", iter([*range(len(cast.weights)), *[-1] * len(rest)])
         for phase, take in [scene for scene in shown if scene[0].path == path]:
-            cast, goal, verdict = stage.episode(phase, take)
+            cast, film = stage.episode(phase, take)
+            goal = film.goal if isinstance(film, PickFilm) else None
             where = f"a robot on the way to {goals}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
             learned = learned or take.update > 0
             trained = f"after {take.update} updates there" if take.update else "as it came there" if learned else "untrained"
-            yield cast, goal, f"{path}: {where}, {trained}\n{verdict}", iter([*range(len(cast.weights)), *[-1] * len(rest)])
+            yield cast, goal, f"{path}: {where}, {trained}\n{film.verdict()}", iter([*_frames(film), *[-1] * len(rest)])
     for name, both in ((report or {}).get("targets") or {}).items():
         cast = stage.casting.standing(stage.merged.space.beta(name)[None])
         counts = f"{both['native']['successes']} of {both['native']['episodes']} unseen starts"
