@@ -28,8 +28,10 @@ SCATTERED, BESIDE, TURNED = 0.75, 0.5, 0.8
 line [m], and of the yaw from its direction [rad]."""
 FLOOR_YAW = 1.8
 """Half width [rad] of the uniform yaw from which an ant learns to run on the floor: more than a bend can leave it with."""
-FACING = 1.0
-"""How much progress [m/s] it is worth to an ant that learns to face where it goes; a quarter turn aside costs it all, once."""
+FACING = 2.0
+"""How much way [m] it is worth to an ant that learns to turn to where it goes from having its back to it. What is lost by turning away is
+what is won by turning back, so that it leads nowhere but along the way (Ng, Harada and Russell, "Policy Invariance under Reward
+Transformations", ICML 1999)."""
 
 _JOINTS = [f"{joint}_{leg}" for leg in range(1, 5) for joint in ("hip", "ankle")]
 # Thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns.
@@ -110,11 +112,10 @@ class AntMaze(PractisedTask):
         return replace(self, scattered_starts=SCATTERED, integrator=mujoco.mjtIntegrator.mjINT_EULER)
 
     def gains(self, observations: np.ndarray) -> np.ndarray:
-        """Progress along the way (T,) [m], less what it costs to face elsewhere."""
-        _, i, j, _ = observations[1:, 1:5].T
-        w, k = observations[1:, 1], observations[1:, 4]
-        ahead = np.cos(np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k)))
-        return -CELL * np.diff(observations[:, -1]) - FACING / self.control_frequency * (1.0 - ahead)
+        """Progress along the way (T,) [m], and what turning to it is worth."""
+        w, x, y, z = observations[:, 1:5].T
+        ahead = np.cos(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        return np.diff(0.5 * FACING * ahead - CELL * observations[:, -1])
 
     def environment(self, robot: ModelRobot) -> "gymnasium.Env":
         """The same scene, stepped by gymnasium's AntEnv."""
