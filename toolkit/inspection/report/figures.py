@@ -67,7 +67,8 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
         grey = 0.75 - 0.75 * (success if success is not None else 0.3)
         axes.plot(*line.T, color=str(grey), linewidth=4.5, zorder=2, solid_capstyle="butt")
         text = "walked" if success is None else f"success {success:.0%}"
-        axes.annotate(text, (line[-2] + line[-1]) / 2 + (0, 10), ha="center", va="top", fontsize=8, bbox=PAPER, zorder=4)
+        share = 0.75 if edge is own else 0.5  # its middle lies in the midst of the tree
+        axes.annotate(text, line[-2] + share * (line[-1] - line[-2]) + (0, 10), ha="center", va="top", fontsize=8, bbox=PAPER, zorder=4)
     for name, node in plan.nodes.items():
         marker = {"source": "s", "meta": "D", "target": "o"}[node["kind"]]
         axes.plot(*plan.places[name], marker, color="white", markeredgecolor="black", markersize=9, zorder=3)

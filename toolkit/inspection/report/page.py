@@ -34,7 +34,7 @@ th, td { border-bottom: 1px solid #ccc; padding: .3rem .6rem; text-align: left; 
 th { border-bottom: 2px solid #111; } td:first-child { white-space: nowrap; } td.number { text-align: right; }
 pre { overflow-x: auto; background: #f4f4f4; padding: .6rem; font-size: .8rem; }
 .bar { display: inline-block; height: .7em; background: #444; vertical-align: middle; margin-right: .4em; }
-@media (max-width: 30rem) { table { font-size: .8rem; } th, td { padding: .25rem .3rem; } .bar { display: none; } }
+@media (max-width: 30rem) { table { font-size: .66rem; } th, td { padding: .25rem .18rem; } .bar { display: none; } }
 .note { border-left: 4px solid #111; padding: .2rem .8rem; background: #f4f4f4; }
 """
 
@@ -140,7 +140,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
     title = f"{config.get('source', '?')} to {', '.join(config.get('targets', []))}: {config.get('task', '?')}"
     parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(config, records, report)]
     legend = ("To scale, lengths on the edges. Square: source; diamonds: meta robots; circles: targets. Thick: walked; the darker, the "
-              "more success. Thin: planned.")
+              "more success. Thin: planned. Slanting: a path that left from elsewhere than planned.")
     parts += ["<h2>Evolution tree</h2>", _figure(pictures, "tree", legend)]
     parts += [_figure(pictures, "projection", "The tree and the walked paths in the plane in which the robots differ most.")]
     legend = "One line per path. Hollow: a robot too far away, so that a shorter step followed."
@@ -209,11 +209,12 @@ def _paths(records: list[dict[str, Any]]) -> str:
         if record["event"] == "check":
             success[record["path"]] = record["success"]
             lowest[record["path"]] = min(lowest.get(record["path"], 1.0), record["success"])
-    totals = ("train_iterations", "sim_epochs", "check_episodes", "diverged")
+    totals = {"train_iterations": "updates", "sim_epochs": "training episodes", "check_episodes": "checking episodes"}
+    totals |= {"diverged": "diverged"} if any(record["diverged"] for record in last.values()) else {}
     share = lambda of, path: f"{of[path]:.0%}" if path in of else ""  # noqa: E731
     rows = [[path, f"{record['event']} ({record['stage']})", *(record[key] for key in totals), share(success, path), share(lowest, path)]
             for path, record in last.items()]
-    return _table(("path", "last event", "updates", "training episodes", "checking episodes", "diverged", "last success", "lowest"), rows)
+    return _table(("path", "last event", *totals.values(), "last success", "lowest"), rows)
 
 
 def _trouble(phases: dict[str, Phase]) -> str:
