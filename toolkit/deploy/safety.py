@@ -324,14 +324,13 @@ class Guard:
     def _at_rest(self, place: np.ndarray, form: Form) -> Fault | None:
         """Whether the arm would come to rest off the table and in its box, were it held after a command to grasp coordinates (6,).
 
-        Held, it first moves for a tick as it does, or under `osc` as the delta says, and then brakes, from the speed that is measured.
+        Held, it first goes where the command leads, and then brakes, as from the speed that is measured.
         """
         kinematics, speed = self.observer.kinematics, float(np.linalg.norm(self._velocity))
         if speed < CREEPING:
             return None
         here = kinematics.position
-        before = place[:3] if form == "osc" else here + self._velocity / self._hz
-        rest = before + float(np.interp(speed, *self._brakes[form])) * self._velocity / speed
+        rest = place[:3] + float(np.interp(speed, *self._brakes[form])) * self._velocity / speed
         out = (rest < self._box_low[:3] - OVERSHOOT) | (rest > self._box_high[:3] + OVERSHOOT)
         if out.any():
             worst = int(out.argmax())
