@@ -4,14 +4,19 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
+import gymnasium_robotics
 import numpy as np
 import pytest
 from toys import HAND_ROBOTS, LIFT
 
+from robots import MODEL_ROBOTS
 from tasks.hand_suite import CARDS
+from tasks.task import Judge
 from toolkit.cli import main
 from toolkit.demonstrations.recorded import Recorded, save_recorded
 from toolkit.errors import ToolkitError
+from toolkit.expert.shelf import load_expert
 from toolkit.expert.training import ExpertConfig, imitate
 from toolkit.learning.cloning import CloningConfig
 from toolkit.learning.npg import NpgConfig
@@ -132,3 +137,40 @@ def test_a_file_of_another_task_is_refused_before_anything_is_learned(tmp_path):
 
     with pytest.raises(ToolkitError, match="was recorded in another task than door"):
         read_demonstrations(tmp_path / "x.npz", CARDS["door"])
+
+
+# -- what comes with the package -----------------------------------------------------------------------------
+
+IDS = {"door": "AdroitHandDoorSparse-v1", "hammer": "AdroitHandHammerSparse-v1", "relocate": "AdroitHandRelocateSparse-v1"}
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_shipped_expert_succeeds_in_gymnasium_robotics_own_environment(name):
+    """As registered, from its own starts, judged by its own word; and the engine plays the same episodes."""
+    task = CARDS[name]
+    policy, _ = load_expert("adroit-free", task)
+    engine = NativeEngine(MODEL_ROBOTS["adroit-free"], task, threads=1)
+    gymnasium.register_envs(gymnasium_robotics)
+    env = gymnasium.make(IDS[name])
+    succeeded = []
+    for seed in range(4):
+        seen, _ = env.reset(seed=seed)
+        judge, done, ended = Judge(task), False, False
+        actions = []
+        while not done and not ended:
+            actions.append(policy.mean(seen))
+            seen, _, _, ended, said = env.step(actions[-1])
+            done = judge.tell(bool(said["success"]))
+        succeeded.append(done)
+        (episode,) = engine.play(MeanActor(policy), [np.zeros(1)], [seed])
+        assert episode.success == done and len(episode.actions) == len(actions)
+        np.testing.assert_allclose(episode.actions, actions, atol=1e-9)
+    engine.close()
+    assert sum(succeeded) >= 3, f"{sum(succeeded)} of 4 in {IDS[name]}"
+
+
+def test_a_shipped_expert_is_evaluated_on_the_hand_that_can_become_others(capsys):
+    for native in ([], ["--native"]):
+        main(["evaluate", "adroit-free-door", *native, "--episodes", "2", "--json"])
+        said = json.loads(capsys.readouterr().out)
+        assert (said["target"], said["env"], said["successes"]) == ("adroit-free", "native" if native else "merged", 2)

@@ -159,6 +159,7 @@ def trained_policies(folder: Path, target: str | None) -> tuple[dict, dict[str, 
 def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "GaussianPolicy"], list[str]] | None:
     """As trained_policies, of a shipped expert or an expert's run folder; None if it is neither."""
     from robots import MODEL_ROBOTS
+    from tasks.task import ModelTask
     from toolkit.expert.shelf import POLICY_FILE, SHIPPED, shipped_experts, shipped_pair
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.runs.run import Run
@@ -179,4 +180,5 @@ def expert_policy(run: str, target: str | None) -> tuple[dict, dict[str, "Gaussi
         raise ToolkitError(f"target {target!r} is not in {run}; it has: {source}")
     what = find_task(task)
     policy = GaussianPolicy.load(file, what.observation.names, what.action.names)
-    return {"source": source, "targets": [name for name in TARGETS if name != source], "task": task}, {source: policy}, []
+    others = [robot.name for robot in family_of(what)] if isinstance(what, ModelTask) else TARGETS
+    return {"source": source, "targets": [name for name in others if name != source], "task": task}, {source: policy}, []
