@@ -51,8 +51,10 @@ from toolkit.quiet import silence_robosuite  # noqa: E402
 if TYPE_CHECKING:
     import gymnasium
 
+    from robots.robot import Robot
     from tasks.task import Task
     from toolkit.bundle.manifest import Manifest
+    from toolkit.cli.names import Kind, Method, Metric
     from toolkit.evaluation.success import Evaluation
     from toolkit.evolution import EvolutionTree
     from toolkit.learning.policy import GaussianPolicy
@@ -104,8 +106,8 @@ def match(
 def tree(
     source: "str | System" = SOURCE,
     targets: "Sequence[str | System]" = TARGETS,
-    metric: str = "l1",
-    kind: str = "steiner",
+    metric: "Metric" = "l1",
+    kind: "Kind" = "steiner",
     effort: float = 1.0,
 ) -> "EvolutionTree":
     """The evolution tree from an arm with a gripper to others; of robots of another family it is ``match(...).tree(metric, kind)``.
@@ -123,7 +125,7 @@ def tree(
     from toolkit.morphology.lab import check_roles
     from toolkit.morphology.survey import as_points
 
-    systems = [_robot(name) for name in (source, *targets)]
+    systems = [_arm(name) for name in (source, *targets)]
     check_roles(systems[0], systems[1:])
     start, *goals = as_points(systems)
     return evolution_tree(start, goals, metric, kind, effort)
@@ -135,8 +137,8 @@ def transfer(
     targets: "Sequence[str | System] | None" = None,
     task: "str | Task" = TASK,
     *,
-    kind: str = "steiner",
-    metric: str = "l1",
+    kind: "Method" = "steiner",
+    metric: "Metric" = "l1",
     preset: str = "quick",
     seed: int = 0,
     expert: str | None = None,
@@ -250,12 +252,12 @@ def export(run: str | Path, target: str, out: str | Path) -> "Manifest":
     Raises:
         ToolkitError: the run has no such policy, or the folder holds something else.
     """
-    from toolkit.cli.names import find_pick, find_robot, trained_policies
+    from toolkit.cli.names import find_arm, find_pick, trained_policies
     from toolkit.export.labels import label_of, lineage_of
     from toolkit.export.packing import write_bundle
 
     content, policies, _ = trained_policies(Path(run), target)
-    policy, robot, task = policies[target], find_robot(target), find_pick(content["task"])
+    policy, robot, task = policies[target], find_arm(target), find_pick(content["task"])
     label = label_of(Path(run), robot, task, policy)
     return write_bundle(policy, robot, task, content, lineage_of(Path(run), target), label, Path(out))
 
@@ -272,24 +274,40 @@ def make_env(robot: "str | System" = "kinova3", task: "str | Task" = TASK, rende
     Raises:
         ToolkitError: an unknown name, or a card or model with which something is wrong.
     """
+    from robots.model_robot import ModelRobot
     from tasks.task import ModelTask
     from toolkit.morphology.lab import check_players
 
     player, what = _robot(robot), _task(task)
     check_players([player], what)
-    if isinstance(what, ModelTask):
+    if isinstance(what, ModelTask) and isinstance(player, ModelRobot):
         if render_mode is not None:
             raise ToolkitError(f"task {what.name!r} has no pictures here; leave render_mode={render_mode!r} out")
         return what.environment(player)
+    from tasks.pick import PickTask
     from toolkit.simulation.environment import NativeEnv
 
-    return NativeEnv(player, what, render_mode)
+    if not isinstance(what, PickTask):
+        raise ToolkitError(f"task {what.name!r} is neither a pick nor on a model of its own, so there is no environment for it")
+    return NativeEnv(_arm(player), what, render_mode)
 
 
 def _robot(which: "str | System") -> "System":
     from toolkit.cli.names import find_robot
 
     return find_robot(which) if isinstance(which, str) else which
+
+
+def _arm(which: "str | System") -> "Robot":
+    from toolkit.cli.names import find_arm
+
+    if isinstance(which, str):
+        return find_arm(which)
+    from robots.robot import Robot
+
+    if not isinstance(which, Robot):
+        raise ToolkitError(f"robot {which.name!r} is no arm with a gripper; give its task as well: match(source, targets, task).tree()")
+    return which
 
 
 def _task(which: "str | Task") -> "Task":

@@ -52,7 +52,7 @@ def asset_path() -> Path:
     return path
 
 
-def _numbers(values: np.ndarray) -> str:
+def _numbers(values: np.ndarray | float) -> str:
     return " ".join(repr(float(v)) for v in np.atleast_1d(values))
 
 

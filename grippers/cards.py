@@ -3,9 +3,17 @@
 import sys
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
-Card = TypeVar("Card")
+
+class Named(Protocol):
+    """Whatever has a name."""
+
+    @property
+    def name(self) -> str: ...
+
+
+Card = TypeVar("Card", bound=Named)
 
 
 BROKEN: dict[str, str] = {}

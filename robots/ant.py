@@ -4,9 +4,9 @@ The paper changes "lengths of torsos, thickness of legs, and widths of hips and 
 are our own. The ant runs along +x, so that its shoulders are the legs at +x, whatever the names in the file.
 """
 
-from importlib.util import find_spec
 from pathlib import Path
 
+import gymnasium
 import mujoco
 
 from robots.model_robot import Family, ModelRobot
@@ -32,7 +32,7 @@ def gymnasium_ant() -> mujoco.MjSpec:
     An ellipsoid of three equal radii is the same solid, weighs the same and meets the floor at one point as the ball does, and it can
     grow. A capsule of no length would meet the floor at two.
     """
-    package = Path(find_spec("gymnasium").origin).parent
+    package = Path(gymnasium.__file__).parent
     spec = mujoco.MjSpec.from_file(str(package / "envs" / "mujoco" / "assets" / "ant.xml"))
     torso = spec.geom("torso_geom")
     torso.type, torso.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [torso.size[0]] * 3

@@ -1,5 +1,7 @@
 """The ant's maze as a gymnasium environment: AntEnv's own step on the scene, played by any robot of the family, unmodified."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco.ant_v5 import AntEnv
@@ -20,7 +22,7 @@ class AntMazeEnv(AntEnv):
         scene: where the ant is (tasks/task.py, Scene).
     """
 
-    def __init__(self, task: AntMaze, robot: ModelRobot, **options: object) -> None:
+    def __init__(self, task: AntMaze, robot: ModelRobot, **options: Any) -> None:
         self.task, self.robot = task, robot
         super().__init__(
             frame_skip=task.substeps,

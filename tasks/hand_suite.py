@@ -317,7 +317,9 @@ class HandTask(ModelTask):
 
         task, model = self, self.spec(robot).compile()
 
-        class Environment(getattr(adroit_hand, self.environment_class)):
+        base: Any = getattr(adroit_hand, self.environment_class)
+
+        class Environment(base):
             def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
                 data = mujoco.MjData(model)
                 self._begun = task.scene(model, data)

@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO, Literal, overload
 
 import numpy as np
 
@@ -61,6 +62,18 @@ class Arrays:
     def __exit__(self, *_: object) -> None:
         self._zip.close()
 
+    @overload
+    def read(
+        self, key: str, shape: Sequence[int | None], types: Sequence[str], largest: int = ..., content: Literal[True] = ...,
+        finite: bool = ...,
+    ) -> np.ndarray: ...
+
+    @overload
+    def read(
+        self, key: str, shape: Sequence[int | None], types: Sequence[str], largest: int = ..., *, content: Literal[False],
+        finite: bool = ...,
+    ) -> None: ...
+
     def read(
         self, key: str, shape: Sequence[int | None], types: Sequence[str], largest: int = 1 << 28, content: bool = True,
         finite: bool = True,
@@ -105,7 +118,7 @@ class Arrays:
         return array
 
 
-def _header(stream: io.BufferedIOBase) -> tuple[tuple[int, ...], bool, np.dtype]:
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"a header of version {version}")

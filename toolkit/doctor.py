@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
@@ -110,7 +111,7 @@ def checks(logs: Path | str = "logs") -> list[Check]:
         logs: the folder where runs will be written.
     """
     found = [_guarded("python", _python, "install Python 3.11 or newer")]
-    found += [_guarded(package, lambda package=package: _package(package), _install(package)) for package in TESTED]
+    found += [_guarded(package, partial(_package, package), _install(package)) for package in TESTED]
     found.append(_guarded("ADROIT hand", _adroit, "pip install --force-reinstall gymnasium-robotics"))
     found += _robots()
     found.append(_guarded("off-screen rendering", _rendering, "leave out pictures and videos, or install EGL or OSMesa"))
@@ -159,7 +160,7 @@ def _install(package: str) -> str:
 
 def _key(version: str) -> tuple[int, ...]:
     """Comparable numbers of a version: "2.13.0+cpu" and "2.13rc1" -> (2, 13, 0)."""
-    numbers = [int(re.match(r"\d*", part)[0] or 0) for part in version.split("+")[0].split(".")[:3]]
+    numbers = [int(re.findall(r"^\d*", part)[0] or 0) for part in version.split("+")[0].split(".")[:3]]
     return tuple(numbers + [0] * (3 - len(numbers)))
 
 

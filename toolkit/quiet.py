@@ -8,6 +8,7 @@ import os
 import threading
 from importlib import import_module
 from multiprocessing import parent_process
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 
@@ -26,7 +27,13 @@ def start_worker() -> None:
     A worker whose parent was killed would wait, with its memory, for ever.
     """
     silence_robosuite()
-    threading.Thread(target=lambda: (parent_process().join(), os._exit(1)), daemon=True).start()
+    threading.Thread(target=_leave_with, args=(parent_process(),), daemon=True).start()
+
+
+def _leave_with(parent: BaseProcess | None) -> None:
+    if parent is not None:  # the first process has none, and nobody to leave with
+        parent.join()
+        os._exit(1)
 
 
 def work_quietly(module: str, function: str, *arguments: Any) -> None:

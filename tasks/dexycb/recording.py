@@ -361,6 +361,9 @@ def _rigid(file: Path, key: str, matrix: np.ndarray) -> np.ndarray:
 # ---- arrays ----------------------------------------------------------------------------------------------------------
 
 
+_TYPES = {"f": ("float32", "float64"), "u": ("uint8",)}
+
+
 class _Arrays:
     """An .npz file of a recording, whose errors name it."""
 
@@ -380,11 +383,17 @@ class _Arrays:
     def _named(self, error: ArrayError) -> RecordingError:
         return RecordingError(self.file, error.key, error.expected, error.found)
 
-    def read(self, key: str, shape: tuple[int, ...], kind: str = "f", content: bool = True) -> np.ndarray | None:
-        """An array of exactly this shape, finite; kind "f" float32 or float64, "u" uint8. Without ``content`` only its header is
-        read."""
+    def read(self, key: str, shape: tuple[int, ...], kind: str = "f") -> np.ndarray:
+        """An array of exactly this shape, finite; kind "f" float32 or float64, "u" uint8."""
         try:
-            return self._arrays.read(key, shape, ("float32", "float64") if kind == "f" else ("uint8",), content=content)
+            return self._arrays.read(key, shape, _TYPES[kind])
+        except ArrayError as error:
+            raise self._named(error) from None
+
+    def check(self, key: str, shape: tuple[int, ...], kind: str = "f") -> None:
+        """As ``read``, of the array's header alone."""
+        try:
+            self._arrays.read(key, shape, _TYPES[kind], content=False)
         except ArrayError as error:
             raise self._named(error) from None
 
@@ -503,9 +512,9 @@ def _label(file: Path, meta: _Meta, world_from_camera: np.ndarray, poses: np.nda
     with _Arrays(file) as arrays:
         joints = arrays.read("joint_3d", (1, len(JOINT_NAMES), 3))[0]
         objects = arrays.read("pose_y", (len(meta.ycb_ids), 3, 4))
-        arrays.read("seg", (480, 640), "u", content=False)
-        arrays.read("pose_m", (1, 51), content=False)
-        arrays.read("joint_2d", (1, len(JOINT_NAMES), 2), content=False)
+        arrays.check("seg", (480, 640), "u")
+        arrays.check("pose_m", (1, 51))
+        arrays.check("joint_2d", (1, len(JOINT_NAMES), 2))
     here, there = objects[meta.grasped], poses[meta.grasped]
     if here.any() and np.isfinite(there[0, 0]):
         _rigid(file, f"pose_y[{meta.grasped}]", here)

@@ -15,6 +15,7 @@ from tempfile import mkdtemp
 
 import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
 from tasks.dexycb.recording import YCB_NAMES
 from tasks.objects import OBJECTS, PickObject
@@ -51,7 +52,7 @@ primitives, no `models/`, and pose_m holds the wrist's pose only, as MANO is not
 """
 
 
-def rotation(axis: Sequence[float], angle: float) -> np.ndarray:
+def rotation(axis: ArrayLike, angle: float) -> np.ndarray:
     """(3, 3) about an axis by an angle [rad] (Rodrigues)."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -207,7 +208,7 @@ def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], deviation: f
 # ---- files -----------------------------------------------------------------------------------------------------------
 
 
-def _look_at(position: Sequence[float], target: Sequence[float]) -> np.ndarray:
+def _look_at(position: ArrayLike, target: ArrayLike) -> np.ndarray:
     """(4, 4) camera to table of a camera with OpenCV's axes: z forwards, y down."""
     forwards = np.subtract(target, position)
     forwards /= np.linalg.norm(forwards)

@@ -423,7 +423,7 @@ def test_the_tree_of_the_robots(capsys, monkeypatch, space):
 
     made = []
 
-    def as_points(robots):
+    def as_points(robots, task=None):
         made.append([robot.name for robot in robots])
         points = {name: toolkit.morphology.survey.Terminal(name, space.beta(name)) for name in space.matching.names}
         # the hand on another arm stands where the source does, a little aside

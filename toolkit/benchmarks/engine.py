@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -47,9 +48,9 @@ BATCHES = (1, 4, 16, 64, 256)
 RECORDED_SEED = 3
 """Seed of the recorded episode."""
 
-_mj_step = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
+_mj_step: Any = types.ExternalFunction("mj_step", types.void(types.uintp, types.uintp))
 _THREAD_CLOCK = int(time.CLOCK_THREAD_CPUTIME_ID)
-_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
+_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.uintp))
 
 
 @osc.compiled
@@ -97,7 +98,8 @@ def record(plant: Plant, actor: Actor, seed: int = RECORDED_SEED) -> Stretches:
     model, data = plant.model, plant.data
     rng = np.random.default_rng((seed, 1))
     observation = plant.begin(seed)
-    states, commands, actions, controls, contacts, rows = [], [], [], [], [], []
+    states, commands, actions, contacts, rows = [], [], [], [], []
+    controls: list[list[np.ndarray]] = []
     touched = None
     for step in range(plant.task.horizon):
         if touched is None and _touches(plant):
@@ -348,6 +350,10 @@ class Outcomes:
     robosuite: int
 
 
+def _with(actor: Actor, rng: np.random.Generator, observation: np.ndarray) -> np.ndarray:
+    return actor(observation, rng)
+
+
 def outcomes(
     native: NativeRobot, plant: Plant, actor: Actor, seeds: Sequence[int], progress: Callable[[int], None] = lambda done: None
 ) -> Outcomes:
@@ -356,7 +362,7 @@ def outcomes(
     for done, seed in enumerate(seeds, start=1):
         fast = play(plant, actor, seed, np.zeros(0)).success
         rng = np.random.default_rng((seed, 1))
-        pairs.append((fast, native.play(lambda observation, rng=rng: actor(observation, rng), seed)))
+        pairs.append((fast, native.play(partial(_with, actor, rng), seed)))
         progress(done)
     return Outcomes(len(pairs), sum(a == b for a, b in pairs), sum(a for a, _ in pairs), sum(b for _, b in pairs))
 

@@ -155,7 +155,7 @@ def work(pipe: Any, name: str, numbers: range, seed: int, bundle: Path) -> None:
         sample = FORMATS[name](Path(folder), bundle)
         sample.read(sample.file)  # what is sound is read, and everything is imported and compiled
         sound = sample.file.read_bytes()
-        used = int(re.search(r"VmSize:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.RLIM_INFINITY))
         pipe.send(("begun", "", 0.0))
         for number in numbers:
@@ -218,9 +218,11 @@ def reword(content: bytes, rng: np.random.Generator) -> bytes:
 def retype(content: bytes, rng: np.random.Generator) -> bytes:
     """A JSON value, somewhere in it, of another kind; the text stays JSON."""
     tree = json.loads(content)
-    odd = [None, True, -1, 0, 2**70, 10**400, 1e308, float("nan"), "", "x", "../x", [], {}, [[]], [None], {"x": 1}, "a\n\x1b[2J"]
+    odd: list[Any] = [None, True, -1, 0, 2**70, 10**400, 1e308, float("nan"), "", "x", "../x", [], {}, [[]], [None], {"x": 1}, "a\n\x1b[2J"]
     value = odd[int(rng.integers(len(odd)))]
-    holder, key, node = None, None, tree
+    holder: Any = None
+    key: Any = None
+    node = tree
     while isinstance(node, dict | list) and node and (holder is None or rng.random() < 0.85):
         holder = node
         key = list(node)[int(rng.integers(len(node)))] if isinstance(node, dict) else int(rng.integers(len(node)))
@@ -459,7 +461,8 @@ def _points(folder: Path, bundle: Path) -> Sample:
 
 
 def _log(folder: Path, bundle: Path) -> Sample:
-    log, whole = TickLog(folder / "log.jsonl", {"robot": "r", "task": "t", "form": "osc", "pace": "real"}), load_bundle(bundle)
+    file, whole = folder / "log.jsonl", load_bundle(bundle)
+    log = TickLog(file, {"robot": "r", "task": "t", "form": "osc", "pace": "real"})
     g = whole.golden
     for number, turn in zip(range(6), rehearse(whole, "osc"), strict=False):
         state = State(0.0, g["episode_joints"][number], g["episode_object_position"][number], g["episode_object_quaternion"][number],
@@ -469,7 +472,7 @@ def _log(folder: Path, bundle: Path) -> Sample:
         log.tick(0, number, state, tick, tick.command, False)
     log.note(0, "stop", "the end")
     log.close()
-    return Sample(log.path, (rot, reword, lines(retype), lines(retype)), read_log)
+    return Sample(file, (rot, reword, lines(retype), lines(retype)), read_log)
 
 
 def _recording(glob: str, damages: tuple[Damage, ...]) -> Callable[[Path, Path], Sample]:

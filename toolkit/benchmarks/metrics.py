@@ -14,6 +14,7 @@ from scipy.stats import spearmanr
 
 from toolkit.capability.bench import Bench
 from toolkit.evolution import Terminal, evolution_tree
+from toolkit.expert.training import arms_of
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.seeds import SENSITIVITY_SEEDS
@@ -116,7 +117,7 @@ def judge(
     alphas, success = [], []
     seeds = [SENSITIVITY_SEEDS + 1000 + i for i in range(episodes)]
     for _ in range(robots):
-        goal = targets[rng.integers(len(targets))].alpha
+        goal = targets[int(rng.integers(len(targets)))].alpha
         moved = rng.random(goal.size) < rng.random()
         alpha = np.where(moved, source.alpha + rng.random() * (goal - source.alpha), source.alpha)
         played = engine.play(MeanActor(policy), [alpha] * episodes, seeds)
@@ -158,12 +159,12 @@ def compare_metrics(
     seed: int, progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Comparison:
     """Measure weights, by rollouts at the source and by capability at every robot, judge the expert on random robots, and compare."""
-    weights = np.empty(source.alpha.size)
-    for d, weight in enumerate(sensitivities(engine.merged, policy, source.alpha)):
+    merged, weights = arms_of(engine), np.empty(source.alpha.size)
+    for d, weight in enumerate(sensitivities(merged, policy, source.alpha)):
         weights[d] = weight
         progress(d + 1, weights.size)
     weights /= weights.mean()
-    able = capability_weights(engine.merged, [source.alpha, *(target.alpha for target in targets)], progress)
+    able = capability_weights(merged, [source.alpha, *(target.alpha for target in targets)], progress)
     able = 0.5 + 0.5 * able / able.mean()  # the arm counts too, though no finger feels it
     judged = judge(engine, policy, source, targets, robots, episodes, seed)
     results = []

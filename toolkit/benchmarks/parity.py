@@ -286,7 +286,8 @@ def closing_steps(mine: Side, own: Side) -> tuple[float, float]:
     theirs = _gaps(own, int(np.ceil((1.0 - law.preshape) / law.rate)) + WAITING)
     ours = _gaps(mine, len(theirs) // PARTS + WAITING)
     nearly = theirs[0] - NEARLY * (theirs[0] - theirs.min())
-    return tuple(float(np.argmax(gaps <= nearly)) / PARTS if gaps.min() <= nearly else np.inf for gaps in (ours, theirs))
+    reached = [float(np.argmax(gaps <= nearly)) / PARTS if gaps.min() <= nearly else np.inf for gaps in (ours, theirs)]
+    return reached[0], reached[1]
 
 
 def _gaps(side: Side, steps: int) -> np.ndarray:

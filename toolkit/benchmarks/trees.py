@@ -70,7 +70,8 @@ def time_trees(
             best = None
             if longer:
                 best = tree.length if tree.optimal else min(tree.length, evolution_tree(source, targets, metric, effort=longer).length)
+            seconds, cpu_seconds = (min(column) for column in zip(*times, strict=True))
             yield Timing(
-                count, metric, *map(min, zip(*times, strict=True)), tree.length, tree.lower_bound,
+                count, metric, seconds, cpu_seconds, tree.length, tree.lower_bound,
                 max(0.0, 1 - tree.lower_bound / tree.length), tree.optimal, best, None if best is None else tree.length / best - 1,
             )

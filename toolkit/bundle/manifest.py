@@ -109,7 +109,7 @@ class Joint:
 
     def __post_init__(self) -> None:
         _require((self.low is None) == (self.high is None), "has one position limit but not the other")
-        _require(self.low is None or self.low < self.high, f"low {self.low} is not below high {self.high}")
+        _require(self.low is None or self.high is None or self.low < self.high, f"low {self.low} is not below high {self.high}")
         _require(min(self.speed, self.acceleration, self.effort) > 0, "a limit is not positive")
 
 
@@ -819,7 +819,8 @@ def _read(kind: Any, value: Any, where: str, path: str) -> Any:
             raise refuse("missing" if odd[0] in names else "unknown")
         read = {name: _read(hints[name], value[name], where, f"{path}.{name}") for name in names}
         try:
-            return kind(**read)
+            record: Any = kind  # is_dataclass leaves open whether it is the class or one of its records
+            return record(**read)
         except ValueError as error:
             raise refuse(str(error)) from None
     if origin is tuple:

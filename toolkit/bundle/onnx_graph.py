@@ -169,8 +169,10 @@ def peer_words(
         scale: of each number of the action, in its unit.
         path: where the policy comes from.
     """
-    rows = {"joint_names": joints, "joint_stiffness": stiffness, "joint_damping": damping, "default_joint_pos": positions,
-            "command_names": (), "observation_names": observations, "action_scale": scale}
+    rows: dict[str, Sequence[str] | Sequence[float]] = {
+        "joint_names": joints, "joint_stiffness": stiffness, "joint_damping": damping, "default_joint_pos": positions,
+        "command_names": (), "observation_names": observations, "action_scale": scale,
+    }
     told = {key: ",".join(one if isinstance(one, str) else repr(float(one)) for one in row) for key, row in rows.items()}
     return {"run_path": path, **told}
 

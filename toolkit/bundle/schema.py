@@ -31,7 +31,7 @@ def manifest_schema() -> dict[str, Any]:
 def _kind(kind: Any, found: dict[str, Any]) -> dict[str, Any]:
     """The schema of an annotated type; records go into ``found`` by name, and are referred to."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         if kind.__name__ not in found:
             found[kind.__name__] = {}  # holds the place, should a record hold itself
             hints = typing.get_type_hints(kind)

@@ -90,7 +90,7 @@ class Way:
     @property
     def told(self) -> str:
         """Its end, and how it turns if it does."""
-        return self.end if self.ahead is None else f"{self.end} ({turning(self.ahead, self.lead)})"
+        return self.end if self.ahead is None or self.lead is None else f"{self.end} ({turning(self.ahead, self.lead)})"
 
 
 @dataclass(frozen=True)
@@ -266,7 +266,7 @@ class Audit:
 
     def along(self, way: Way) -> Edge:
         """What the robots of a way can do, evenly spaced and where it looks worst, and what causes it."""
-        shares = np.linspace(0.0, 1.0, self.count)
+        shares = np.linspace(0.0, 1.0, self.count).tolist()
         tried = {float(s) for s in shares[:: self.scripted]} | {1.0}
         robots = self._measured(way, shares, tried)
         why = reserve(way, robots[0.0], robots[1.0], self.merged.task.object.width)

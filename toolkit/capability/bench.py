@@ -98,6 +98,11 @@ class Squeeze:
         return min(self.thumb, self.fingers) / max(self.thumb, self.fingers, 1e-9)
 
 
+def _no_targets(command: float) -> np.ndarray:
+    """For a hand that is not moved: no target."""
+    return np.zeros(0)
+
+
 class Bench:
     """Measures robots of one merged robot, one after the other.
 
@@ -195,7 +200,7 @@ class Bench:
         if grip < NOTHING:
             return None
         law = plant.law
-        model, data = closed_on_box(plant.model, plant.start, self._arm, self._item, self._fingers, np.zeros,
+        model, data = closed_on_box(plant.model, plant.start, self._arm, self._item, self._fingers, _no_targets,
                                     law.preshape, self.width, steps=0)
         state, close = np.full(plant.command.shape, law.preshape), np.ones(plant.command.shape)
         for step in range(LONGEST):

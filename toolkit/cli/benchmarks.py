@@ -4,13 +4,13 @@ import os
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from toolkit.cli.deployment import DriverName
 from toolkit.cli.help import helped
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_robot, find_task, make_lab
+from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_arm, find_task, make_lab, merged_arms
 from toolkit.cli.suites import SUITES
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
@@ -126,14 +126,14 @@ def bench_engine(
     if episodes < 0 or rounds < 1:
         raise ToolkitError(f"episodes is {episodes} and rounds {rounds}; give at least 0 and 1")
     room_for(page, (".md", ".markdown", ".txt"))
-    systems = [find_robot(name) for name in (robots or ROBOTS)]
+    systems = [find_arm(name) for name in (robots or ROBOTS)]
     from toolkit.benchmarks.engine import measure_engine, performance_page
     from toolkit.expert.shelf import load_expert
 
     policy, _ = load_expert(source, find_task(task))
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
     with Progress("engine", quiet=json) as progress:
-        found = measure_engine(systems, lab.merged, policy.act, episodes, rounds, scale, progress.show)
+        found = measure_engine(systems, merged_arms(lab), policy.act, episodes, rounds, scale, progress.show)
     if json:
         emit(found, True, "")
     else:
@@ -387,7 +387,7 @@ def bench_tick(bundle: Annotated[str, tyro.conf.Positional] = "kinova3", ticks: 
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.runtime import time_ticks
 
-    loaded, found = load_bundle(bundle), {}
+    loaded, found = load_bundle(bundle), dict[str, Any]()
     with Progress("ticks", quiet=json) as progress:
         for form in FORMS:
             progress.show(form, f"{ticks} ticks", len(found), len(FORMS))
@@ -543,11 +543,11 @@ def bench_faults(
             if not chosen:
                 continue
             twin, port = start_twin(bundle, pace)
-            arm = SimDriver("127.0.0.1", port)
+            simulated = SimDriver("127.0.0.1", port)
             try:
-                play(arm, arm.connect(), chosen)
+                play(simulated, simulated.connect(), chosen)
             finally:
-                arm.close()
+                simulated.close()
                 twin.terminate()
                 twin.wait()
         for trial in line_trials(loaded, lambda pace: start_twin(bundle, pace)) if others else ():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from toolkit.cli.judging import check_signer
-from toolkit.cli.names import bundle_roles, find_pick, find_robot, trained_policies
+from toolkit.cli.names import bundle_roles, find_arm, find_pick, trained_policies
 from toolkit.cli.terminal import Progress, emit
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -46,7 +46,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
     from toolkit.export.labels import LABEL_EPISODES, holds_of, label_of, lineage_of
     from toolkit.export.packing import write_bundle
 
-    robot, task = find_robot(target), find_pick(content["task"])
+    robot, task = find_arm(target), find_pick(content["task"])
     holds = holds_of(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
     with Progress("export", quiet=json) as progress:
         label = label_of(run, robot, task, policies[target], progress.count(f"{target}, unmodified", LABEL_EPISODES))
@@ -207,7 +207,7 @@ def start_twin(bundle: str, pace: PaceName) -> tuple["subprocess.Popen", int]:
 
     command = [sys.executable, "-m", "toolkit.cli", "twin", "--pace", pace, "--", bundle]
     twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {OWNER: str(os.getpid())})
-    for line in twin.stdout:  # whatever else is printed on the way is not ours
+    for line in twin.stdout or ():  # whatever else is printed on the way is not ours
         if line.startswith("twin of "):
             return twin, int(line.rsplit(":", 1)[1])
     status = twin.wait()

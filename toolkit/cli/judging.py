@@ -62,13 +62,13 @@ def evaluate(
     lab = None if native and cluster is None else make_lab(content["source"], content["targets"], what.name)
     results = []
     with Progress("evaluate", quiet=json) as progress, ExitStack() as stack:
-        nodes = None if cluster is None else stack.enter_context(closing(Cluster(lab, cluster)))
+        nodes = None if cluster is None or lab is None else stack.enter_context(closing(Cluster(lab, cluster)))
+        engine = None if native or lab is None else RolloutEngine(lab.merged) if nodes is None else ClusterEngine(nodes)
         for name, policy in policies.items():
-            if native:
+            if engine is None:
                 counter = progress.count(f"{name}, unmodified", episodes)
                 results.append(evaluate_native(policy, find_robot(name), what, episodes, seed, progress=counter, cluster=nodes))
             else:
-                engine = RolloutEngine(lab.merged) if nodes is None else ClusterEngine(nodes)
                 results.append(evaluate_merged(policy, engine, name, episodes, seed))
     if json:
         emit(results[0].to_json() if len(results) == 1 else [r.to_json() for r in results], True, "")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from toolkit.deploy.arm import ArmInfo
     from toolkit.deploy.drivers.sim import SimDriver
     from toolkit.deploy.dry import Listener, Seen
+    from toolkit.deploy.runtime import Form
 
 ACCOUNT = "META_EVOLVE_KORTEX_ACCOUNT"
 """USER:PASSWORD on a Gen3: on a command line everybody on the machine could read it."""
@@ -26,7 +27,7 @@ ASSUMED = {
 """Driver -> what a dry run from the command line does not know."""
 
 
-def dry(bundle: "Bundle", driver: str, arm: "Listener", close: Callable[[], None], form: str, ticks: int, json: bool) -> None:
+def dry(bundle: "Bundle", driver: str, arm: "Listener", close: Callable[[], None], form: "Form", ticks: int, json: bool) -> None:
     """Listen to an arm for a few ticks, and print what would have been sent to it.
 
     Args:
@@ -107,14 +108,14 @@ class ListenedTwin:
 def _line(number: int, tick: "Seen") -> str:
     """One tick for people."""
     if tick.command is None:
-        return f"tick {number}: nothing: {tick.fault.kind}: {tick.fault.detail}"
+        return f"tick {number}: nothing: {tick.fault.kind}: {tick.fault.detail}" if tick.fault else f"tick {number}: nothing"
     target = " ".join(f"{value:.4f}" for value in tick.command.target)
     opening = f"opening {tick.command.opening:.3f} ({1e3 * tick.command.opening_m:.1f} mm)"
     return f"tick {number}: would send {tick.command.form} {target}, {opening}"
 
 
 def _content(
-    bundle: "Bundle", driver: str, form: str, joints: tuple[str, ...], seen: list["Seen"], counts: dict[str, int]
+    bundle: "Bundle", driver: str, form: "Form", joints: tuple[str, ...], seen: list["Seen"], counts: dict[str, int]
 ) -> dict[str, Any]:
     """What ``deploy --dry-run --json`` prints."""
     last = seen[-1]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tasks.task import ModelTask, Task
     from toolkit.bundle.reading import Bundle
     from toolkit.learning.policy import GaussianPolicy
+    from toolkit.morphology.build import MergedRobot
     from toolkit.morphology.lab import Lab, System
 
 Kind = Literal["steiner", "geometric-median", "independent"]
@@ -46,10 +47,10 @@ def broken_cards() -> list[str]:
 
 def find_robot(name: str) -> "System":
     """The card of a system, or a sentence listing those that exist."""
-    known: dict[str, System] = all_robots()
+    arms = all_robots()
     from robots import MODEL_ROBOTS
 
-    known = known | MODEL_ROBOTS
+    known: dict[str, System] = {**arms, **MODEL_ROBOTS}
     if name not in known:
         more = "".join(f"; {broken}" for broken in broken_cards())
         raise ToolkitError(f"robot {name!r} is unknown; there are: {', '.join(known)}{more}")
@@ -60,7 +61,7 @@ def find_task(name: str) -> "Task":
     """A task, or a sentence listing those that exist."""
     from tasks import MODEL_TASKS, TASKS
 
-    known: dict[str, Task] = TASKS | MODEL_TASKS
+    known: dict[str, Task] = {**TASKS, **MODEL_TASKS}
     if name not in known:
         more = "".join(f"; {broken}" for broken in broken_cards())
         raise ToolkitError(f"task {name!r} is unknown; there are: {', '.join(known)}{more}")
@@ -75,6 +76,25 @@ def find_pick(name: str) -> "PickTask":
     if not isinstance(task, PickTask):
         raise ToolkitError(f"task {name!r} is no pick by an arm with a gripper, which this command is for")
     return task
+
+
+def find_arm(name: str) -> "Robot":
+    """An arm with a gripper, for what only such a robot has: robosuite's models, a bundle for a real arm."""
+    from robots.robot import Robot
+
+    robot = find_robot(name)
+    if not isinstance(robot, Robot):
+        raise ToolkitError(f"robot {name!r} is no arm with a gripper, which this command is for; there are: {', '.join(all_robots())}")
+    return robot
+
+
+def merged_arms(lab: "Lab") -> "MergedRobot":
+    """The merged robot of a laboratory of arms with grippers, for what only such robots have."""
+    from toolkit.morphology.build import MergedRobot
+
+    if not isinstance(lab.merged, MergedRobot):
+        raise ToolkitError(f"task {lab.task.name!r} is played by robots without arms and grippers, which this command is for")
+    return lab.merged
 
 
 def family_of(task: "ModelTask") -> "list[ModelRobot]":
@@ -94,7 +114,7 @@ def bundle_roles(name: str) -> tuple["Bundle", "Robot", "PickTask"]:
 
     bundle = load_bundle(name)
     manifest = bundle.manifest
-    robot, task = find_robot(manifest.robot.name), find_pick(manifest.task.name)
+    robot, task = find_arm(manifest.robot.name), find_pick(manifest.task.name)
     from toolkit.export.packing import check_records, check_task
 
     check_records(manifest, bundle.path)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from toolkit.cli.help import helped
-from toolkit.cli.names import find_robot
+from toolkit.cli.names import find_arm
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -125,7 +125,7 @@ def retarget_recordings(
         record: write recording, retargeted hand and replay side by side into this .rrd file, for `meta-evolve view`.
         json: print one JSON object.
     """
-    robot = find_robot(source)
+    robot = find_arm(source)
     from toolkit.demonstrations.rehearsal import Broken, Dropped, Studio
 
     studio = Studio(root, robot, frame_rate)
@@ -145,21 +145,23 @@ def retarget_recordings(
     shown = [result for result in results if not isinstance(result, Dropped | Broken)]
     dropped = [result for result in results if isinstance(result, Dropped)]
     mine = [result for result in results if isinstance(result, Broken)]
+    succeeded = sum(d.succeeded for d in shown)
     content = {
         "root": str(root), "source": source, "recordings": [d.to_json() for d in shown],
         "dropped": [{"recording": d.recording, "why": d.why} for d in dropped],
         "broken": [{"recording": b.recording, "error": b.why} for b in (*mine, *broken)],
-        "replays_succeeded": sum(d.succeeded for d in shown), "replays": len(shown),
+        "replays_succeeded": succeeded, "replays": len(shown),
     }
     if json:
         emit(content, True, "")
     else:
         columns = ["recording", "object", "tip error mm", "worst frame", "commanded", "infeasible frames", "replay"]
         table("Retargeted", columns, [_row(d) for d in shown])
-        for d in (*dropped, *mine, *broken):
-            emit(None, False, f"left out: {d.why}")
-        emit(None, False, f"{content['replays_succeeded']} of {len(shown)} replays reach the recorded goal; "
-                          f"{len(shown) - content['replays_succeeded']} fail in physics, {len(dropped)} cannot be followed.")
+        left_out: list[Dropped | Broken] = [*dropped, *mine, *broken]
+        for one in left_out:
+            emit(None, False, f"left out: {one.why}")
+        emit(None, False, f"{succeeded} of {len(shown)} replays reach the recorded goal; "
+                          f"{len(shown) - succeeded} fail in physics, {len(dropped)} cannot be followed.")
     if record is not None and shown:
         _film(studio, shown, record)
     if mine:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from toolkit.cli.judging import is_bundle
-from toolkit.cli.names import bundle_roles, find_pick, find_robot, trained_policies
+from toolkit.cli.names import bundle_roles, find_arm, find_pick, trained_policies
 from toolkit.cli.terminal import Progress, emit, room_for, table
 from toolkit.errors import ToolkitError
 
@@ -99,16 +99,16 @@ def _policy(name: str, target: str | None) -> tuple["GaussianPolicy | Path", "Ro
     content, policies, _ = trained_policies(Path(name), target)
     if len(policies) != 1:
         raise ToolkitError(f"{name} has policies for {', '.join(policies)}; choose one by --target")
-    robot, policy = next(iter(policies.items()))
-    digest = hashlib.sha256((Path(name) / f"{robot}.policy.safetensors").read_bytes()).hexdigest()
-    return policy, find_robot(robot), find_pick(content["task"]), {"policy": digest, "target": robot, "task": content["task"]}
+    player, trained = next(iter(policies.items()))
+    digest = hashlib.sha256((Path(name) / f"{player}.policy.safetensors").read_bytes()).hexdigest()
+    return trained, find_arm(player), find_pick(content["task"]), {"policy": digest, "target": player, "task": content["task"]}
 
 
 def _rate(progress: Progress, title: str) -> Any:
     """A callback (done, total, what) that shows episodes per second and the time left."""
     import time
 
-    began, first = time.monotonic(), []
+    began, first = time.monotonic(), list[int]()
 
     def seen(done: int, total: int, what: str) -> None:
         first.append(done) if not first else None

@@ -87,14 +87,14 @@ def expert(
         with kept.at_work():
             policy, value, card = train(kept)
             policy.save(folder / f"{source}{POLICY_FILE}")
-            results = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
+            evaluated = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
             counter = lambda name: progress.count(f"{source}, unmodified, {name}", episodes)  # noqa: E731
             results = {
                 key: evaluate_compiled(policy, robot, t, episodes) if compiled
                 else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
-                for key, t in results.items()
+                for key, t in evaluated.items()
             }
-    shown = [] if demos is None else ["--demos", demos]
+    shown: list[str | Path] = [] if demos is None else ["--demos", demos]
     command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--demonstrations", demonstrations,
                    "--seed", seed)
     card |= {"command": command} | {key: result.to_json() for key, result in results.items()}

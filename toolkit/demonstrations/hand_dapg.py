@@ -294,10 +294,11 @@ def _episodes(path: Path, found: Any) -> list[tuple[np.ndarray, np.ndarray]]:
     out = []
     for k, episode in enumerate(found if isinstance(found, list) else [None]):
         fields = {_text(key): value for key, value in episode.items()} if isinstance(episode, dict) else {}
-        pair = tuple(field.array for key in ("observations", "actions") if isinstance(field := fields.get(key), _Array))
-        if len(pair) < 2 or any(array is None for array in pair):
+        pair = [field.array for key in ("observations", "actions")
+                if isinstance(field := fields.get(key), _Array) and field.array is not None]
+        if len(pair) < 2:
             raise ToolkitError(f"{path}: its episode {k} has no arrays 'observations' and 'actions'; give one of hand_dapg's files")
-        out.append(pair)
+        out.append((pair[0], pair[1]))
     return out
 
 

@@ -79,7 +79,7 @@ class TrackScript:
         """Action (n_act,) for an observation (n_obs,); deterministic."""
         progress = float(entry(observation, "closing_progress")[0])
         offset, turned, yaw = self._object(observation)
-        missed = progress > self._started and np.linalg.norm(offset - self._offset[-1]) > self.HELD
+        missed = bool(progress > self._started and np.linalg.norm(offset - self._offset[-1]) > self.HELD)
         if progress >= self._lift_from and not missed:
             move, turn, fingers = self._carry(observation)
         else:
@@ -89,7 +89,7 @@ class TrackScript:
         action[:3] = np.clip(self.GAIN * move, -1.0, 1.0)
         sine = entry(observation, "grasp_rotation")
         size = np.linalg.norm(sine)
-        now = sine * (np.arcsin(min(size, 1.0)) / size) if size > 1e-9 else sine
+        now = sine * (np.arcsin(np.minimum(size, 1.0)) / size) if size > 1e-9 else sine
         action[3:6] = np.clip(self.TURN_GAIN * (turn - now), -1.0, 1.0)
         action[6:] = fingers
         return action

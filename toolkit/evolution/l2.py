@@ -116,7 +116,7 @@ def _grow_all(points: np.ndarray, upper: float) -> tuple[list[Tree], float]:
             continue
         grown = []
         for edge in np.flatnonzero(tree[1] >= 0):
-            child = _insert(tree, order[leaves], n + leaves - 1, edge)
+            child = _insert(tree, order[leaves], n + leaves - 1, int(edge))
             last = leaves == n - 2
             low, high = smith(*child, 0, FINE if last else ROUGH, upper * (1 + TIE), 1e-9 if last else 1e-3)
             upper = min(upper, high) if last else upper

@@ -53,7 +53,9 @@ def _join_kids(kids: np.ndarray, node: int, below: np.ndarray) -> float:
 
 
 @njit(cache=True)
-def price_edges(kids: np.ndarray, root: int, below: np.ndarray, above: np.ndarray, middle: np.ndarray, order: np.ndarray) -> int:
+def price_edges(
+    kids: np.ndarray, root: int | np.integer, below: np.ndarray, above: np.ndarray, middle: np.ndarray, order: np.ndarray
+) -> int:
     """Best values of every edge's lower side, upper side and middle: (2n-2, 2, D) low and high, leaves' ``below`` given.
 
     Returns:
@@ -76,7 +78,7 @@ def price_edges(kids: np.ndarray, root: int, below: np.ndarray, above: np.ndarra
 
 @njit(cache=True)
 def cheapest_edge(
-    kids: np.ndarray, root: int, count: int, order: np.ndarray, middle: np.ndarray, low: np.ndarray, high: np.ndarray
+    kids: np.ndarray, root: int | np.integer, count: int, order: np.ndarray, middle: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[int, float]:
     """The edge of the tree below ``root`` onto which a subtree with best values [low, high] (D,) is grafted at the least cost."""
     best = kids[root, 0]

@@ -98,7 +98,7 @@ def _draw_nodes(axes: "Axes", tree: EvolutionTree, spots: np.ndarray) -> None:
     for kind, (colour, marker) in _LOOK.items():
         mine = [index for index, node in enumerate(tree.nodes) if node.kind == kind]
         if mine:
-            axes.scatter(*spots[mine].T, s=110, color=colour, marker=marker, edgecolor="black", label=kind, zorder=3)
+            axes.scatter(spots[mine, 0], spots[mine, 1], s=110, color=colour, marker=marker, edgecolor="black", label=kind, zorder=3)
     for node, (x, y) in zip(tree.nodes, spots, strict=True):
         name = node.name if len(node.name) <= 22 else node.name[:21] + "\u2026"
         axes.annotate(

@@ -75,7 +75,7 @@ def tree_from_points(
 
 
 def _give_back_duplicates(
-    points: np.ndarray, distinct: Sequence[int], twin: Sequence[int], embedding: np.ndarray, parent: Sequence[int]
+    points: np.ndarray, distinct: Sequence[int], twin: Sequence[int], embedding: np.ndarray, parent: Sequence[int] | np.ndarray
 ) -> tuple[np.ndarray, list[int]]:
     """Number the tree over distinct points as all terminals, then meta robots; a duplicate hangs on its twin."""
     n, k = len(points), len(distinct)

@@ -12,7 +12,7 @@ from numba import njit
 
 
 @njit(cache=True)
-def seed_tree(n: int, first: int) -> tuple[np.ndarray, np.ndarray]:
+def seed_tree(n: int, first: int | np.integer) -> tuple[np.ndarray, np.ndarray]:
     """The tree of two leaves: the root 0 and ``first``, with room for n leaves."""
     parent, kids = np.empty(2 * n - 2, np.int64), np.empty((2 * n - 2, 2), np.int64)
     for node in range(2 * n - 2):
@@ -52,7 +52,7 @@ def prune(parent: np.ndarray, kids: np.ndarray, node: int) -> int:
 
 
 @njit(cache=True)
-def postorder(kids: np.ndarray, root: int, order: np.ndarray) -> int:
+def postorder(kids: np.ndarray, root: int | np.integer, order: np.ndarray) -> int:
     """Write the Steiner nodes below ``root`` into ``order``, children before parents; returns how many there are."""
     count, waiting = 0, 1
     stack = np.empty(order.size + 2, np.int64)

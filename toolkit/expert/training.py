@@ -120,7 +120,7 @@ def _best_teacher(
         successes, steps = sum(episode.success for episode in played), float(np.mean([len(episode.rewards) for episode in played]))
         marks[name] = (-successes, steps)
         report({"event": "trial", "teacher": name, "played": len(seeds), "kept": successes, "steps": steps})
-    return min(marks, key=marks.get)
+    return min(marks, key=lambda name: marks[name])
 
 
 def _demonstrate(
@@ -183,7 +183,7 @@ def train_expert(
     training = _Training(engine, engine.merged.task, beta, config, policy, value, rng, teachers is not None, report, run)
     training.restore()
     if not training.cloned:
-        scripts, counts = ({"script": pick_script(engine.merged.task.object)}, {}) if teachers is None else teachers()
+        scripts, counts = ({"script": pick_script(arms_of(engine).task.object)}, {}) if teachers is None else teachers()
         training.clone(source, scripts, counts)
     while training.updates < config.updates:
         training.update()
@@ -220,6 +220,18 @@ def imitate(
     return policy, value, training.card
 
 
+def arms_of(engine: RolloutEngine | NativeEngine) -> MergedRobot:
+    """The merged robot of arms with grippers on which an engine plays.
+
+    Raises:
+        ToolkitError: it plays on other robots.
+    """
+    merged = engine.merged if isinstance(engine, RolloutEngine) else None
+    if not isinstance(merged, MergedRobot):
+        raise ToolkitError("scripts and recordings of hands teach merged arms with grippers alone; give an engine of such robots")
+    return merged
+
+
 class _Training:
     """The state of an expert's training; every change of it ends in a checkpoint."""
 
@@ -231,7 +243,8 @@ class _Training:
         self.engine, self.task, self.beta, self.config, self.recorded = engine, task, beta, config, recorded
         self.policy, self.value, self.rng, self.run = policy, value, rng, run
         self._report, self._records = report, 0
-        self.updates, self.rounds, self.cloned, self.card = 0, 0, False, {}
+        self.updates, self.rounds, self.cloned = 0, 0, False
+        self.card: dict[str, Any] = {}
         self.lessons: _Lessons | None = None
 
     def report(self, record: dict[str, Any]) -> None:
@@ -243,18 +256,18 @@ class _Training:
 
     def clone(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> None:
         """Demonstrations, behaviour cloning, and rounds of visiting with a recorded teacher; from where the run was left."""
-        if self.lessons is None:
-            self._first_lessons(source, scripts, counts)
+        lessons = self._first_lessons(source, scripts, counts) if self.lessons is None else self.lessons
         if self.recorded:
-            self._visits(scripts[self.card["teacher"]])
+            self._visits(scripts[self.card["teacher"]], lessons)
             self.cloned = True
             self.checkpoint()
 
-    def _first_lessons(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> None:
+    def _first_lessons(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> _Lessons:
         """Choose the teacher, let it demonstrate, clone it."""
         config = self.config
-        strict = replace(self.task, goal_tolerance=config.demonstrated_tolerance)
-        stage = RolloutEngine(MergedRobot(self.engine.merged.space, strict), self.engine.threads)
+        merged = arms_of(self.engine)
+        strict = replace(merged.task, goal_tolerance=config.demonstrated_tolerance)
+        stage = RolloutEngine(MergedRobot(merged.space, strict), self.engine.threads)
         name = _best_teacher(stage, self.beta, config, scripts, self.report)
         lessons, kept = _demonstrate(stage, self.beta, config, scripts[name], self.rng)
         stage.close()
@@ -262,11 +275,12 @@ class _Training:
         if lessons is None:
             kind = "recorded" if self.recorded else "scripted"
             raise ToolkitError(f"none of {config.demonstrations} {kind} demonstrations succeeds on {source}; check its grasp posture")
-        self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations} | counts
+        self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations, **counts}
         if self.recorded:
             self.card["teacher"] = name
         self.cloned = not self.recorded
         self._learn(lessons, config.cloning)
+        return lessons
 
     def imitate(self, recorded: Recorded) -> None:
         """Clone the steps of a file's first episodes as they are."""
@@ -276,17 +290,17 @@ class _Training:
         self.lessons = _Lessons(recorded.observations[:rows], recorded.actions[:rows], rows)
         self._fit(self.lessons, self.config.imitation)
         if self.run is not None:
-            self._save_lessons(self.lessons)  # before the checkpoint that counts on them
+            self._save_lessons(self.run, self.lessons)  # before the checkpoint that counts on them
         self.cloned = True
         self.checkpoint()
 
-    def _visits(self, script: Script) -> None:
+    def _visits(self, script: Script, lessons: _Lessons) -> None:
         """The clone plays and its teacher says what it would have done, until the clone has mastered the task."""
         config = self.config
         again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
         while self.rounds < config.rounds:
             round_ = self.rounds + 1
-            lessons, success = _visit(self.engine, self.beta, config, script, self.policy, self.lessons, round_, self.rng)
+            lessons, success = _visit(self.engine, self.beta, config, script, self.policy, lessons, round_, self.rng)
             self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
             if success >= config.mastered:
                 break
@@ -317,7 +331,7 @@ class _Training:
 
     def _demonstrations(self) -> Demonstrations | None:
         """What pulls the next update: a recorded teacher's kept demonstrations."""
-        if not self.recorded:
+        if not self.recorded or self.lessons is None:
             return None
         shown = self.lessons.first(self.lessons.shown)
         return Demonstrations(shown.seen, shown.labels, self.updates)
@@ -330,17 +344,19 @@ class _Training:
         """
         if self.run is None:
             return
-        if self.recorded and not self.cloned:
-            self._save_lessons(self.lessons)
+        lessons = self.lessons if self.recorded else None
+        if lessons is not None and not self.cloned:
+            self._save_lessons(self.run, lessons)
         state = {"updates": self.updates, "rounds": self.rounds, "cloned": self.cloned, "card": self.card,
-                 "rows": len(self.lessons.seen) if self.recorded else 0, "rng": generator_state(self.rng),
+                 "rows": 0 if lessons is None else len(lessons.seen), "rng": generator_state(self.rng),
                  "records": self._records}
         self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
-        if self.recorded and self.cloned and self.updates == 0:
-            self._save_lessons(self.lessons.first(self.lessons.shown))  # all that updates need
+        if lessons is not None and self.cloned and self.updates == 0:
+            self._save_lessons(self.run, lessons.first(lessons.shown))  # all that updates need
 
-    def _save_lessons(self, lessons: _Lessons) -> None:
-        self.run.save_checkpoint("lessons", {"seen": lessons.seen, "labels": lessons.labels}, {"shown": lessons.shown})
+    @staticmethod
+    def _save_lessons(run: Run, lessons: _Lessons) -> None:
+        run.save_checkpoint("lessons", {"seen": lessons.seen, "labels": lessons.labels}, {"shown": lessons.shown})
 
     def restore(self) -> None:
         """Go on from the run's checkpoint, if it has one."""
@@ -361,6 +377,6 @@ class _Training:
         self.updates, self.rounds, self.cloned = state["updates"], state["rounds"], state["cloned"]
         self.card, self._records = state["card"], state["records"]
         self.rng.bit_generator.state = generator_from_state(state["rng"]).bit_generator.state
-        if self.recorded:
+        if self.recorded and self.run is not None:
             arrays, kept = self.run.load_checkpoint("lessons")
             self.lessons = _Lessons(arrays["seen"], arrays["labels"], kept["shown"]).first(state["rows"])

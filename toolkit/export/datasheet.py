@@ -89,15 +89,16 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
             rows.append((plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant)))
             return policy.act(observation, rng) if noisy else policy.mean(observation)
 
-        tape = Tape(qpos=[])
+        visited: list[np.ndarray] = []
+        tape = Tape(qpos=visited)
         episode = play(plant, seen, seed, np.zeros(0), tape)
         last = (plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant))
         speeds, efforts, grasp = (np.array(column) for column in zip(*rows, last, strict=True))
         succeeded += episode.success
         for kept, value in (
-            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(tape.qpos)),
+            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(visited)),
             (out.speeds, speeds[1:]), (out.efforts, efforts[1:]), (out.grasp, grasp),
-            (out.heights, np.array([lowest(row) for row in tape.qpos])),
+            (out.heights, np.array([lowest(row) for row in visited])),
         ):
             kept.append(value)
     return replace(out, success=succeeded / len(seeds))
@@ -210,12 +211,13 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
         gaps = [mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in outer["thumb"] for b in outer["fingers"]]
         openings.append(max(0.0, min(gaps)))
         angles.append(vector(data.qpos[model.jnt_qposadr[fingers]]))
-    openings = np.minimum.accumulate(openings)
+    if robot.gripper.rate is None:
+        raise ValueError(f"gripper {robot.gripper.name} is a hand, which has no rate")
     return Gripper(
         law="command = clip(command + rate * sign(action), -1, 1)", rate=float(robot.gripper.rate),
         preshape=float(robot.gripper.preshape), open_sign=-1, close_sign=1,
         targets={robot.gripper.joints[role]: tuple(map(float, pair)) for role, pair in robot.gripper.targets.items()},
-        command=tuple(commands.tolist()), opening_m=tuple(float(o) for o in openings),
+        command=tuple(commands.tolist()), opening_m=tuple(np.minimum.accumulate(openings).tolist()),
         joints=tuple(model.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in fingers),
         joint_units=tuple("m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad" for j in fingers),
         joint_positions=tuple(angles),

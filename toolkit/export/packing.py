@@ -259,7 +259,7 @@ def _write(
     export_onnx(policy, folder / ONNX, action_map, OBSERVATION, manifest.label(), words)
     export_onnx(policy, folder / FLAT_ONNX, action_map, OBSERVATION, manifest.label(), words, flat=True)
     policy.save(folder / SAFETENSORS)
-    export_actor(policy, folder / ACTOR, action_map, {"licence": manifest.licence, "observation_names": words["observation_names"],
+    export_actor(policy, folder / ACTOR, action_map, {"licence": manifest.licence or "", "observation_names": words["observation_names"],
                                                       "action_names": ",".join(ACTION_NAMES)})
     files |= {SCHEMA: _json(manifest_schema()), CONFIG: _json(policy_config(manifest))}
     for file, content in files.items():
@@ -280,6 +280,8 @@ def _json(content: dict[str, Any]) -> bytes:
 
 def _peer_words(manifest: Manifest) -> dict[str, str]:
     """The manifest in the keys of Isaac Lab and mjlab: arm joints, moved by torques, then the gripper's motors."""
+    if manifest.simulation is None:
+        raise ValueError("a manifest without its simulation is one of format version 2, which is read and never written")
     actuators, start = manifest.simulation.actuators, manifest.start
     none = [0.0] * len(manifest.joints)
     return peer_words(
@@ -587,7 +589,7 @@ def _versions() -> dict[str, str]:
 
 def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
     buffer = io.BytesIO()
-    np.savez(buffer, **{name: np.asarray(arrays[name], np.float64) for name in sorted(arrays)})
+    np.savez(buffer, allow_pickle=False, **{name: np.asarray(arrays[name], np.float64) for name in sorted(arrays)})
     return buffer.getvalue()
 
 

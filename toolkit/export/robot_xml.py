@@ -104,9 +104,9 @@ def _enclose(parent: ET.Element, model: mujoco.MjModel, geom: int) -> None:
     aside = np.linalg.norm(np.delete(offset, along, axis=1), axis=1)
     radius = float(aside.max())
     length = max(0.0, float((np.abs(offset[:, along]) - np.sqrt(np.maximum(radius**2 - aside**2, 0.0))).max()))
-    position, rotation = model.geom_pos[geom].copy(), np.empty(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    rotation = rotation.reshape(3, 3)
+    position, flat = model.geom_pos[geom].copy(), np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
+    rotation = flat.reshape(3, 3)
     position += rotation @ centre
     if 8 * half.prod() <= np.pi * radius**2 * (2 * length + 4 / 3 * radius):
         _shape(parent, name, mujoco.mjtGeom.mjGEOM_BOX, half, position, model.geom_quat[geom])

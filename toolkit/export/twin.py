@@ -11,7 +11,7 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -158,6 +158,8 @@ class Twin:
     def _control(self) -> None:
         """Set the controls of one substep."""
         command, fresh = self._command, self._fresh
+        if command is None:  # nothing was sent yet, and nothing is played until it is
+            return
         silent = self._since >= WATCHDOG * self.substeps and self._since % self.substeps == 0
         still = command.hold or bool(self._stopped) or self._since >= WATCHDOG * self.substeps
         grip = 0.0 if still else command.grip
@@ -242,8 +244,8 @@ def serve(
         while not orphaned():
             while leaving and leaving[0][0] < time.monotonic():
                 leaving.pop(0)[1].close()
-            lines = [] if client is None else [client.line]
-            reads, writes, _ = select.select([listener, *lines], [line for line in lines if line.waiting], [], twin.catch_up())
+            lines: list[wire.Line] = [] if client is None else [client.line]
+            reads, writes, _ = select.select([cast(Any, listener), *lines], [line for line in lines if line.waiting], [], twin.catch_up())
             if client is not None and (client.line in reads or writes):  # who has just left makes room for who has just come
                 try:
                     ended, served = _answer(twin, client, token)

@@ -8,7 +8,7 @@ import atexit
 import os
 import socket
 from pathlib import Path
-from typing import TextIO
+from typing import Literal, TextIO
 
 from toolkit.errors import ToolkitError
 
@@ -98,11 +98,11 @@ def claim_file(file: TextIO, mend: str) -> None:
         pass  # a device, or a disk without locks
 
 
-def open_claimed(path: Path, mode: str, option: str) -> TextIO:
+def open_claimed(path: Path, mode: Literal["a", "a+"], option: str) -> TextIO:
     """A file, with the folders above it, that only this process writes as long as it is open.
 
     Args:
-        mode: "a" or "a+": it is not emptied before it is claimed.  option: that names another file.
+        mode: it is not emptied before it is claimed.  option: that names another file.
 
     Raises:
         ToolkitError: another process writes it.

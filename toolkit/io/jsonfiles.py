@@ -83,8 +83,8 @@ def require(value: Any, shape: Any, where: str, mend: str) -> Any:
 def _misfit(value: Any, shape: Any, place: str) -> tuple[str, str] | None:
     """Where a value differs from its shape, and how; None if it fits."""
     if isinstance(shape, tuple):
-        found = [_misfit(value, one, place) for one in shape]
-        return None if None in found else found[0]
+        odd = [_misfit(value, one, place) for one in shape]
+        return None if None in odd else odd[0]
     if isinstance(shape, list):
         if not isinstance(value, list):
             return place, "is no list"

@@ -191,8 +191,8 @@ def _advantages(
         last_value = 0.0 if episode.terminated else float(values[-1])
         advantages.append(gae(episode.rewards, values[:-1], last_value, config.gamma, config.gae_lambda))
         predicted.append(values[:-1])
-    advantages, predicted = np.concatenate(advantages), np.concatenate(predicted)
-    return advantages, advantages + predicted, predicted
+    advantage, value_before = np.concatenate(advantages), np.concatenate(predicted)
+    return advantage, advantage + value_before, value_before
 
 
 def _values(value: ValueFunction, observations: np.ndarray) -> np.ndarray:

@@ -2,16 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, overload
 
 import mujoco
 import numpy as np
 
+from robots.robot import Robot
+from tasks.pick import PickTask
 from tasks.task import Task
 from toolkit.errors import ToolkitError
+from toolkit.morphology.build import MergedRobot
 from toolkit.simulation.actuators import GymnasiumRobot, merged_model_plant, native_model_plant
 from toolkit.simulation.native import NativeRobot
-from toolkit.simulation.plant import merged_arm_plant, native_arm_plant
+from toolkit.simulation.plant import Plant, merged_arm_plant, native_arm_plant
 
 
 class Drivable(Protocol):
@@ -26,11 +29,13 @@ class Drivable(Protocol):
 
     model: mujoco.MjModel
     data: mujoco.MjData
-    task: Task
     command: np.ndarray
     goal: np.ndarray
     before: np.ndarray
     substeps: int
+
+    @property
+    def task(self) -> Task: ...
 
     @property
     def at_goal(self) -> bool: ...
@@ -106,14 +111,38 @@ def law_of(task: Task) -> ControlLaw:
     return LAWS[task.control_law]
 
 
+@overload
+def merged_plant(merged: MergedRobot, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Plant: ...
+
+
+@overload
+def merged_plant(merged: Any, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Drivable: ...
+
+
 def merged_plant(merged: Any, alpha: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> Drivable:
     """F(alpha) of a merged robot (MergedRobot, MergedModel) in its task; patches ``model`` in place."""
     return law_of(merged.task).merged(merged, alpha, model, data)
 
 
+@overload
+def native_plant(robot: Robot, task: PickTask) -> Plant: ...
+
+
+@overload
+def native_plant(robot: Any, task: Task) -> Drivable: ...
+
+
 def native_plant(robot: Any, task: Task) -> Drivable:
     """The unmodified robot in its task, for the fast engine."""
     return law_of(task).native(robot, task)
+
+
+@overload
+def native_robot(robot: Robot, task: PickTask) -> NativeRobot: ...
+
+
+@overload
+def native_robot(robot: Any, task: Task) -> Playable: ...
 
 
 def native_robot(robot: Any, task: Task) -> Playable:

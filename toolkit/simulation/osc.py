@@ -21,6 +21,7 @@ pseudo-inverses instead: the same where the arm can move its grasp frame in ever
 import ctypes
 import math
 from pathlib import Path
+from typing import Any
 
 import llvmlite.binding
 import mujoco
@@ -59,9 +60,9 @@ def library() -> str:
 
 llvmlite.binding.load_library_permanently(library())
 _ptr = types.uintp
-_mj_step1 = types.ExternalFunction("mj_step1", types.void(_ptr, _ptr))
-_mj_step2 = types.ExternalFunction("mj_step2", types.void(_ptr, _ptr))
-_mj_getState = types.ExternalFunction("mj_getState", types.void(_ptr, _ptr, _ptr, types.int32))
+_mj_step1: Any = types.ExternalFunction("mj_step1", types.void(_ptr, _ptr))
+_mj_step2: Any = types.ExternalFunction("mj_step2", types.void(_ptr, _ptr))
+_mj_getState: Any = types.ExternalFunction("mj_getState", types.void(_ptr, _ptr, _ptr, types.int32))
 
 compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 """How functions of the inner loop are compiled: kept on disk, without the lock, division as NumPy divides."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_COMMAND
 from robots.robot import Robot
+from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, is_lost, observe
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
@@ -141,7 +142,10 @@ class Plant:
         before: (n_state,) STATE before the last policy step.
         substeps: of physics per policy step.
         object_body: id.
+        env: robosuite's environment, of an unmodified robot alone.
     """
+
+    env: Pick
 
     def __init__(
         self,

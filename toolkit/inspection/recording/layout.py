@@ -38,7 +38,7 @@ def pages_layout(views: Callable[[], dict[str, rrb.View]], page: str | None = No
     return quiet_layout(root, timeline, moves=page != "summary")
 
 
-def quiet_layout(root: rrb.Container, timeline: str, moves: bool = True) -> rrb.Blueprint:
+def quiet_layout(root: rrb.Container | rrb.View, timeline: str, moves: bool = True) -> rrb.Blueprint:
     """A layout without the viewer's side panels, which play a timeline again and again."""
     return rrb.Blueprint(
         root,
