@@ -1,17 +1,21 @@
-# After the install line of README.md. `make check` is what a change must pass; .ci/run does it from nothing.
+# After the install line of README.md. `make check` is what a change must pass; .ci/run does it from nothing, with the slow tests.
 PYTHON ?= .venv/bin/python
 
-.PHONY: check lint format test docs dist bundles
+.PHONY: check lint format test test-all docs dist bundles
 
 check: lint test
 
 lint:
 	$(PYTHON) -m ruff check .
+	$(PYTHON) -m mypy
 
 format:
 	$(PYTHON) -m ruff check --select I --fix .
 
 test:
+	$(PYTHON) -m pytest -q -m "not slow"
+
+test-all:
 	$(PYTHON) -m pytest -q
 
 docs:

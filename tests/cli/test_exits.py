@@ -207,7 +207,7 @@ def test_a_killed_worker_is_no_result():
     from toolkit.evaluation.success import _outcomes
 
     with pytest.raises(ToolkitError, match="was killed"):
-        list(_outcomes([(Killed(),)] * 8, 2))
+        list(_outcomes(Killed(), None, None, range(8), 2))
 
 
 def test_a_viewer_that_ends_by_itself_is_a_failure(monkeypatch, capsys):

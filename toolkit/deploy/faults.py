@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -433,7 +434,7 @@ def line_trials(bundle: Bundle, start: Start) -> Iterator[Trial]:
     """Processes that die, hang and fall silent, clients that talk nonsense, and a disk that is full, in robosuite's own form."""
     for name, sign in (("twin killed", signal.SIGKILL), ("twin hung", signal.SIGSTOP)):
         with _twin(start, "lockstep") as (process, port):
-            yield _loses_its_arm(bundle, port, name, lambda process=process, sign=sign: process.send_signal(sign))
+            yield _loses_its_arm(bundle, port, name, partial(process.send_signal, sign))
     with _twin(start, "real") as (process, port):
         yield _left_alone(port, "policy killed", True)
         yield _left_alone(port, "policy silent", False)

@@ -85,11 +85,11 @@ class Kinematics:
         self._coordinates: np.ndarray | None = None
         self._lowest: float | None = None
         try:
-            self._site, flange = model.site("grasp").id, model.body(flange).id
+            self._site, wrist = model.site("grasp").id, int(model.body(flange).id)
         except KeyError as error:
             raise ToolkitError(f"robot.xml does not fit the manifest ({error}); export the bundle again") from None
-        hung = {flange}
-        for body in range(flange + 1, model.nbody):
+        hung = {wrist}
+        for body in range(wrist + 1, model.nbody):
             if model.body_parentid[body] in hung:
                 hung.add(body)
         self._extent = _Extent(model, [g for g in range(model.ngeom) if model.geom_bodyid[g] in hung])

@@ -137,6 +137,7 @@ class Motion(Protocol):
     """One form of command. ``begin`` at the measured posture, then one ``advance`` or ``hold`` per tick."""
 
     form: Form
+    grip: Grip
 
     def begin(self, joints: np.ndarray) -> None:
         """Start at measured arm angles (n,)."""
@@ -223,6 +224,10 @@ class _Base:
     def command(self, form: Form, hold: bool, target: np.ndarray, rate: np.ndarray, waypoints: np.ndarray) -> Command:
         grip = 0.0 if hold else float(np.sign(self.last[6]))
         return Command(form, hold, target, rate, grip, self.grip.opening, self.grip.opening_m, waypoints)
+
+    def coordinates(self, command: Command) -> np.ndarray:
+        """See Motion."""
+        raise NotImplementedError
 
     def tracking(self, joints: np.ndarray) -> float:
         """No joint angles are commanded."""

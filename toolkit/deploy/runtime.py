@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
@@ -411,7 +412,7 @@ def rehearse(bundle: Bundle, form: Form) -> Iterator[Callable[[], Tick]]:
         state = State(now, arm, position, quaternion, golden["episode_goal"], fingers)
         if row == 0:
             runtime.begin(state, now)
-        yield lambda state=state, now=now: runtime.tick(state, now)
+        yield partial(runtime.tick, state, now)
 
 
 def time_ticks(bundle: Bundle, form: Form, ticks: int) -> np.ndarray:

@@ -244,7 +244,8 @@ def geom_triangles(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.nda
 
 def _box(half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A box with four vertices per side, so that its edges stay sharp."""
-    vertices, faces = [], []
+    vertices: list[np.ndarray] = []
+    faces: list[tuple[int, int, int]] = []
     for axis in range(3):
         for side in (-1.0, 1.0):
             corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)

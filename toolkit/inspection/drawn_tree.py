@@ -132,7 +132,7 @@ class Plan:
 
 def matrix(space: ParameterSpace) -> tuple[np.ndarray, list[str], dict[str, float]]:
     """alpha as a matrix: column and row (D, 2) of each dimension; names of the rows; heads of the columns and their middles."""
-    first = {}
+    first: dict[int, str] = {}
     for parameter in space.parameters:
         first.setdefault(parameter.dimension, parameter.name)
     split = [first[k].partition(".") for k in range(space.size)]

@@ -4,6 +4,8 @@ Every body frame of the merged robot stands with world axes at the start posture
 grasp frame starts at the same pose on every robot; so a link is its joint's anchor and axis, nothing else.
 """
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -70,7 +72,7 @@ HAND_BIT, OBJECT_BIT = 2, 1
 """Contact bits: the hand touches object and table, object and table touch each other, the hand never itself."""
 
 
-def _span(ids: np.ndarray) -> np.ndarray | slice:
+def _span(ids: Sequence[int] | np.ndarray) -> np.ndarray | slice:
     """Consecutive indices as a slice, which NumPy writes to several times faster."""
     ids = np.asarray(ids, int)
     return slice(int(ids[0]), int(ids[-1]) + 1) if len(ids) and (np.diff(ids) == 1).all() else ids
@@ -242,7 +244,7 @@ class MergedRobot:
         spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
 
     def _add_links(self, spec: mujoco.MjSpec, p: Patch) -> list:
-        bodies = []
+        bodies: list[mujoco.MjsBody] = []
         hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
         for i, slot in enumerate(self.space.matching.slots):
             parent = spec.worldbody if slot.parent < 0 else bodies[slot.parent]
@@ -398,7 +400,7 @@ class MergedRobot:
         self._curve = _span([model.equality(c.name).id for c in curves])
         self._curve_dofs = np.array([(dof[c.pad], dof[c.driven]) for c in curves], int).reshape(-1, 2)
         first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
-        self._wraps = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count, strict=True)] or [[]]).astype(int)
+        self._wraps = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count, strict=True)] or [np.empty(0)]).astype(int)
         self._wrapped = np.arange(count.max(initial=0)) < count[:, None]
 
     @staticmethod

@@ -210,9 +210,9 @@ class FamilySpace(ParameterSpace):
                 own, other = getattr(source.model, array), getattr(reading.model, array)
                 if own.shape != other.shape or (own != other).any():
                     raise ToolkitError(f"{pair} differ in {array}, which no evolution can change")
-            odd = np.flatnonzero(source.model.geom_type != reading.model.geom_type)
-            if odd.size or (source.weighed != reading.weighed).any():
-                geom = _name(source.model, "geom", odd[0]) if odd.size else ""
+            changed = np.flatnonzero(source.model.geom_type != reading.model.geom_type)
+            if changed.size or (source.weighed != reading.weighed).any():
+                geom = _name(source.model, "geom", int(changed[0])) if changed.size else ""
                 why = f"geom {geom!r} is of another kind" if geom else "the mass of one's body is stated, the other's comes from its geoms"
                 raise ToolkitError(f"{pair} cannot become one another: {why}")
 

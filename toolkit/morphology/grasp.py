@@ -207,7 +207,7 @@ class GraspLaw:
         solids = self._solids(p)
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
-            gaps[f], where, shares, _ = gap_of(
+            gaps[f], where, shares, _ = gap_of(  # type: ignore[call-arg]  # compiled; what is starred has its length by construction
                 turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)
             lean, part = tilt_of(turns, self._own_shapes[f], self._link, solids[1], self._faces, shares, self._push[f], SIDEWAYS)
             tilts[f] = lean if part > PADDED else np.nan
@@ -224,7 +224,7 @@ class GraspLaw:
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
-            out[chain], points[f], touches[f] = meet(
+            out[chain], points[f], touches[f] = meet(  # type: ignore[call-arg]  # as above
                 angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
                 *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces, gap[f], height[f], minding[f], tilt[f],
             )

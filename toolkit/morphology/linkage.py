@@ -262,7 +262,7 @@ def _on_boxes(bench: _Bench, grasp: np.ndarray) -> np.ndarray:
 
 def _closing(bench: _Bench) -> np.ndarray:
     """(n, 2, n_roles) motions of the gripper closing in free air at its own rate until the jaws meet."""
-    gripper, rows = bench.robot.gripper, []
+    gripper, rows = bench.robot.gripper, list[list[float]]()
     bench.place(OUT_OF_REACH)
     for command in np.arange(gripper.preshape + gripper.rate, 1.0 + gripper.rate / 2, gripper.rate):
         for _ in range(SAMPLES):
@@ -355,7 +355,7 @@ def equivalent_linkages(
         (hold, stop, slack, gear, *cost), curve = _fitted(air[..., finger] * senses, loaded[..., finger] * senses)
         out.append(
             Linkage(
-                role, pads[i], knuckles[i], turn, *_spring(*cost), _damping(*closing[..., i].T, np.array(cost)),
+                role, pads[i], knuckles[i], turn, *_spring(*cost), _damping(closing[:, 0, i], closing[:, 1, i], np.array(cost)),
                 tuple(map(float, curve)), float(hold), float(stop), float(gear), float(slack),
             )
         )

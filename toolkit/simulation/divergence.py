@@ -80,8 +80,8 @@ class Divergence:
             raise ToolkitError(f"{path} has format {header['format']}; this version reads {FORMAT}")
         if not len(arrays["actions"]) or not header["robots"] or header["seed"] < 0:
             raise ToolkitError(f"{path} names no robot, no seed or no action, so it is damaged; {mend}")
-        names = {"robots": tuple(header["robots"]), **{key: header[key] for key in ("native", "task", "seed")}}
-        return cls(**names, **arrays)
+        return cls(tuple(header["robots"]), header["native"], header["task"], header["seed"],
+                   arrays["alpha"], arrays["state"], arrays["command"], arrays["goal"], arrays["actions"])
 
     @property
     def step(self) -> int:

@@ -1,6 +1,6 @@
 """The unmodified robosuite robot in its task as a Gymnasium environment, with the named observation and action records."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -28,13 +28,11 @@ class NativeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: "rgb_array", for pictures (480, 640, 3) uint8 off screen, or None.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
-
     def __init__(self, robot: Robot, task: PickTask, render_mode: str | None = None) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ToolkitError(f"render_mode is {render_mode!r}; give 'rgb_array' or None")
         self.robot, self.task, self.render_mode = NativeRobot(robot, task), task, render_mode
-        self.metadata = self.metadata | {"render_fps": round(task.control_frequency)}
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": round(task.control_frequency)}
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (sum(task.observation.values()),), np.float64)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (sum(task.action.values()),), np.float64)
         self._renderer: mujoco.Renderer | None = None

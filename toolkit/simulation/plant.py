@@ -347,7 +347,7 @@ def command_law(robot: Robot) -> CommandLaw:
     targets = np.array([gripper.targets[role] for role in gripper.targets])
     return CommandLaw(
         common=float(not hand), gain=10.0 ** (HAND_LOG_GAIN if hand else GRIPPER_LOG_GAIN), leak=float(hand),
-        rate=HAND_RATE if hand else gripper.rate, preshape=gripper.preshape, course=Course.straight(*targets.T),
+        rate=HAND_RATE if gripper.rate is None else gripper.rate, preshape=gripper.preshape, course=Course.straight(*targets.T),
         role=np.array([COMMANDED_ROLES.index(ROLE_COMMAND[role]) for role in gripper.targets]),
     )
 
@@ -360,7 +360,7 @@ def finger_map(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> list
     joints, start = role_joints(model, robot), start_of(robot)
     signs = {role: finger_sign(robot, role, np.array(data.xaxis[joint])) for role, joint in joints.items()}
     own = [j for j in range(model.njnt) if model.joint(j).name.startswith("gripper0_right_")]
-    angle = dict(zip(own, start.fingers, strict=True))
+    angle = dict(zip(own, () if start.fingers is None else start.fingers, strict=True))
     return [
         (int(model.jnt_qposadr[joints[role]]), signs[role], float(angle[joints[role]])) if role in joints else (-1, 1.0, 0.0)
         for role in COMMANDED_ROLES

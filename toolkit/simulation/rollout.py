@@ -65,12 +65,12 @@ def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape
 
 @dataclass
 class Stretch:
-    """A part of an episode: lists of T observations (n_obs,), actions (n_act,) and rewards, and how it ended."""
+    """A part of an episode: where it ended, lists of T observations (n_obs,), actions (n_act,) and rewards, and how it ended."""
 
+    observation: np.ndarray
     observations: list[np.ndarray] = field(default_factory=list)
     actions: list[np.ndarray] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
-    observation: np.ndarray | None = None
     success: bool = False
     diverged: bool = False
     terminated: bool = False
@@ -81,7 +81,7 @@ def play_on(
 ) -> Stretch:
     """Play from where the plant stands: at most ``steps`` policy steps, ending as an episode does; see ``play``."""
     judge, data = Judge(plant.task), plant.data
-    out = Stretch()
+    out = Stretch(observation)
     while len(out.rewards) < steps and not out.terminated:
         action = np.asarray(actor(observation, rng), float)
         out.observations.append(observation)

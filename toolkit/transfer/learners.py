@@ -12,6 +12,7 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal
+from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.npg import Demonstrations, npg_step
 from toolkit.learning.policy import GaussianPolicy, MeanActor
@@ -151,7 +152,7 @@ class SearchLearner:
         steps = mirrored(settings.batch_size // 2, len(declared), branch.rng) * deviation
         seeds = np.repeat(branch.training_seeds(len(steps) // 2), 2).tolist()
         policies = [directions.moved(branch.policy, step) for step in steps]
-        batch = []
+        batch: list[Episode] = []
         for part in (slice(0, LOOK), slice(LOOK, None)) if branch.updates == 0 else (slice(None),):
             if seeds[part] and (not batch or success > 0 or any(episode.success for episode in batch)):
                 batch += sampler.train(branch, player, [alpha] * len(seeds[part]), seeds[part], policies[part])

@@ -53,7 +53,7 @@ class Stride:
             last = stride >= distance - (self.config.xi if self.config.step == "adaptive" and stride > shortest else 1e-12)
             if not last and direction is None:
                 direction = self._steer(branch, meta)
-            candidate = meta if last else np.clip(branch.alpha + stride * direction, 0.0, 1.0)
+            candidate = meta if last or direction is None else np.clip(branch.alpha + stride * direction, 0.0, 1.0)
             branch.begin_phase(candidate)
             if self.config.step == "fixed" or stride <= shortest or self._searching or self._settled(branch, candidate, stride):
                 return

@@ -72,7 +72,8 @@ class Kortex:
         self._line = threading.Lock()  # one request at a time: whether the router takes two is not said
         self._lock, self._ended = threading.Lock(), threading.Event()
         self._command: Command | None = None
-        self._sent, self._streamer = 0.0, None
+        self._sent = 0.0
+        self._streamer: threading.Thread | None = None
         self._told: float | None = None
         self._trouble = ""
         self._measured = np.zeros(len(self.names))
@@ -120,8 +121,8 @@ class Kortex:
             raise
         self._ended.clear()
         self._trouble, self._command, self._told = "", None, None
-        self._streamer = threading.Thread(target=self._stream, daemon=True)
-        self._streamer.start()
+        streamer = self._streamer = threading.Thread(target=self._stream, daemon=True)
+        streamer.start()
         return info
 
     def read(self) -> State:

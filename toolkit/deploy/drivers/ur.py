@@ -68,7 +68,8 @@ class UniversalRobots:
         self._receive: Any = None
         self._lock, self._ended = threading.Lock(), threading.Event()
         self._command: Command | None = None
-        self._sent, self._streamer = 0.0, None
+        self._sent = 0.0
+        self._streamer: threading.Thread | None = None
         self._trouble = ""
         self._clock = DeviceClock()
 
@@ -102,8 +103,8 @@ class UniversalRobots:
         self._control.setWatchdog(10.0)  # [Hz] at least
         self._ended.clear()
         self._trouble, self._command = "", None
-        self._streamer = threading.Thread(target=self._stream, daemon=True)
-        self._streamer.start()
+        streamer = self._streamer = threading.Thread(target=self._stream, daemon=True)
+        streamer.start()
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def read(self) -> State:

@@ -39,7 +39,8 @@ def success_colour(success: float | None) -> tuple[int, int, int]:
     if success is None or not np.isfinite(success):
         return UNKNOWN
     low, high, share = (FAILED, HALFWAY, 2 * success) if success < 0.5 else (HALFWAY, DONE, 2 * success - 1)
-    return tuple(int(value) for value in np.round(low + (high - low) * share))
+    red, green, blue = (int(value) for value in np.round(low + (high - low) * share))
+    return red, green, blue
 
 
 class EvolutionPage:

@@ -247,7 +247,7 @@ def _nearest(plan: Plan, edges: list[dict[str, Any]], alpha: np.ndarray) -> dict
 
     def detour(edge: dict[str, Any]) -> float:
         start, end = (np.array(plan.nodes[edge[key]]["alpha"]) for key in ("from", "to"))
-        return np.linalg.norm(alpha - start) + np.linalg.norm(end - alpha) - np.linalg.norm(end - start)
+        return float(np.linalg.norm(alpha - start) + np.linalg.norm(end - alpha) - np.linalg.norm(end - start))
 
     return min(edges, key=detour)
 

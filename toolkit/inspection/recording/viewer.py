@@ -61,8 +61,8 @@ def open_window(*files: Path) -> None:
     Raises:
         ToolkitError: it ends at once.
     """
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, **quiet)
+    process = subprocess.Popen([str(viewer_program()), *map(str, files)], start_new_session=True, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL)
     try:
         process.wait(OPENING)
     except subprocess.TimeoutExpired:

@@ -166,7 +166,7 @@ def _captioned(studio: Studio | ModelStudio, cast: Cast, frame: int, goal: np.nd
 
 def _write_mp4(out: Path, pictures: Iterator[Image.Image]) -> int:
     """Returns how many pictures there were."""
-    writer = cv2.VideoWriter(str(out), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"vp09"), RATE, SIZE)
+    writer = cv2.VideoWriter(str(out), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"vp09"), RATE, SIZE)
     if not writer.isOpened():
         raise ToolkitError(f"{out} cannot be written: this OpenCV writes no VP9; reinstall opencv-python, or name a .gif")
     count = 0
