@@ -50,7 +50,8 @@ class Checker:
 
     def __init__(self, bundle: Bundle, form: Form) -> None:
         m = self.manifest = bundle.manifest
-        self.form, self.period, self.last = form, 1.0 / m.policy_hz, None
+        self.form, self.period = form, 1.0 / m.policy_hz
+        self.last: Command | None = None
         self._model = mujoco.MjModel.from_xml_string(bundle.mjcf)
         self._data = mujoco.MjData(self._model)
         self._address = [int(self._model.joint(joint.name).qposadr[0]) for joint in m.joints]
@@ -59,7 +60,7 @@ class Checker:
 
     def begin(self) -> None:
         """A new episode."""
-        self.last: Command | None = None
+        self.last = None
 
     def breaches(self, command: Command, joints: np.ndarray) -> Iterator[str]:
         """What is wrong with a command for an arm that stands at angles (n,), in words; nothing if all is well."""
@@ -170,8 +171,10 @@ class Puppet:
     def begin(self, now: float) -> None:
         """Stand where the recorded episode began."""
         golden, none = self._bundle.golden, np.zeros(len(self._bundle.manifest.joints))
-        self.state = State(now, *(golden[f"episode_{key}"][0].copy() for key in ("joints", "object_position", "object_quaternion")),
-                           golden["episode_goal"].copy(), golden["episode_fingers"][0].copy(), speeds=none, efforts=none)
+        joints, position, quaternion = (golden[f"episode_{key}"][0].copy() for key in ("joints", "object_position", "object_quaternion"))
+        fingers = self._fingers = golden["episode_fingers"][0].copy()
+        self.state = State(now, joints, position, quaternion, golden["episode_goal"].copy(), fingers, speeds=none,
+                           efforts=none)
         self._expected.begin()
 
     def obey(self, command: Command) -> None:
@@ -184,7 +187,7 @@ class Puppet:
     def _joint_step(self, command: Command) -> np.ndarray:
         """(n,) [rad] towards a pose, or as robosuite's controller answers a delta."""
         model, data = self.kinematics.model, self.kinematics.data
-        self.kinematics.place(self.state.joints, self.state.fingers)
+        self.kinematics.place(self.state.joints, self._fingers)
         if command.form == "osc":
             motion = self._expected.step(command.target)
         else:
@@ -203,7 +206,7 @@ class Puppet:
         spoilt, which = state.joints.copy(), rng.integers(n)
         spoilt[which] = {"nan joint": np.nan, "inf joint": np.inf}.get(harm, spoilt[which] + 2.0)
         shift = state.object_position + rng.choice([-1, 1], 3) * 0.5
-        changes = {
+        changes: dict[str, dict[str, Any]] = {
             "nan joint": {"joints": spoilt}, "inf joint": {"joints": spoilt}, "teleport": {"joints": spoilt},
             "nan object": {"object_position": np.full(3, np.nan)}, "stale": {"stamp": now - 1}, "future": {"stamp": now + 1},
             "jump": {"object_position": np.abs(shift) + 0.8}, "fast": {"speeds": np.full(n, 50.0)},
@@ -215,7 +218,7 @@ class Puppet:
 
 def wild_policy(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
     """A policy whose temper changes: uniform, bang-bang, steady pushes, huge, and now and then not finite."""
-    temper = {"kind": "uniform", "push": np.zeros(7)}
+    temper: dict[str, Any] = {"kind": "uniform", "push": np.zeros(7)}
 
     def act(observation: np.ndarray) -> np.ndarray:
         if rng.random() < TEMPER:
@@ -275,7 +278,7 @@ def hostile_ticks(
     info = ArmInfo(m.robot.name, tuple(joint.name for joint in m.joints), m.gripper.joints, FORMS, RATE)
     runtime = Runtime(bundle, info, form, policy or wild_policy(rng))
     puppet, checker, tally = Puppet(bundle, rng), Checker(bundle, form), HostileTally(form)
-    now, alive, latched, held, deck = 0.0, False, False, 0, []
+    now, alive, latched, held, deck = 0.0, False, False, 0, list[str]()
     while tally.ticks < ticks:
         now += runtime.period
         if not alive:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from toolkit.cli.names import TARGETS, TASK, Method, Metric, family_of, find_robot, find_task, make_lab
+from toolkit.cli.names import TARGETS, TASK, Method, Metric, family_of, find_arm, find_pick, find_robot, find_task, make_lab
 from toolkit.cli.terminal import Progress, document, emit
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
@@ -63,6 +63,7 @@ def expert(
         raise ToolkitError(f"episodes is {episodes}, demonstrations {demonstrations}, updates {updates} and seed {seed}; give at "
                            "least one episode and one demonstration, updates and seed from 0 on")
     robot, what = find_robot(source), find_task(task)
+    from robots.model_robot import ModelRobot
     from tasks.task import ModelTask, PractisedTask
     from toolkit.evaluation.success import evaluate_compiled, evaluate_native
     from toolkit.expert.practice import PracticeConfig
@@ -79,10 +80,15 @@ def expert(
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
              "updates": updates, "demonstrations": demonstrations}
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
-    # Before there is a run folder: none for demonstrations that are not there.
-    prepare = _practice_teaches if practised else _steps_teach if isinstance(what, ModelTask) else _hands_teach
     with Progress("expert", quiet=json) as progress:
-        train = prepare(robot, what, None if demos is None else (demos, frame_rate, resume), config, progress)
+        given = None if demos is None else (demos, frame_rate, resume)
+        # Before there is a run folder: none for demonstrations that are not there.
+        if isinstance(what, PractisedTask) and isinstance(robot, ModelRobot):
+            train = _practice_teaches(robot, what, given, config, progress)
+        elif isinstance(what, ModelTask) and isinstance(robot, ModelRobot):
+            train = _steps_teach(robot, what, given, config, progress)
+        else:
+            train = _hands_teach(find_arm(source), find_pick(task), given, config, progress)
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
         with kept.at_work():
             policy, value, card = train(kept)
@@ -104,7 +110,7 @@ def expert(
         low, high = result.ci95
         name = task if key == "evaluation" else narrow_task(what).name
         lines.append(f"{source}, {name}: {result.successes} of {episodes} on the source robot ({low:.2f} to {high:.2f})")
-    name = f"{source}-{task}{RECORDED if demos is not None and prepare is _hands_teach else ''}"
+    name = f"{source}-{task}{RECORDED if demos is not None and not isinstance(what, ModelTask) else ''}"
     try:
         save_expert(policy, value, out or SHIPPED, name, card)
         lines.append(f"Saved in {out or SHIPPED}; run folder: {folder}")

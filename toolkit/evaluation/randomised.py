@@ -21,7 +21,7 @@ from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import System
 from toolkit.morphology.posture import arm_joints
 from toolkit.runs.seeds import EVALUATION_SEEDS
-from toolkit.simulation.laws import Drivable
+from toolkit.simulation.plant import Plant
 from toolkit.simulation.rollout import NativeEngine
 
 TRAINABLE = ("object_mass", "object_friction", "friction", "pose_noise", "pose_bias", "yaw_error", "delay", "start_posture", "goal_shift")
@@ -72,7 +72,7 @@ class RandomisedRobot:
         drawn: condition -> its value in this episode.
     """
 
-    def __init__(self, robot: Drivable, ranges: Ranges) -> None:
+    def __init__(self, robot: Plant, ranges: Ranges) -> None:
         self._robot, self._ranges = robot, dict(ranges)
         self.model, self.data, self.task, self.before, self.substeps = robot.model, robot.data, robot.task, robot.before, robot.substeps
         ends = dict(zip(robot.task.observation, itertools.accumulate(robot.task.observation.values()), strict=True))
@@ -80,6 +80,7 @@ class RandomisedRobot:
         self._nominal = {name: np.array(getattr(self.model, name)) for name in DISTURBED}
         self._arm = self.model.jnt_qposadr[arm_joints(self.model)]
         self.drawn: dict[str, float] = {}
+        self._seen: deque[np.ndarray] = deque()
 
     @property
     def command(self) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The source expert: behaviour cloning of demonstrations, then natural policy gradient under the sparse reward."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -106,7 +106,7 @@ class _Lessons:
 
 
 def _best_teacher(
-    stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: dict[str, Script], report: Callable[[dict[str, Any]], None]
+    stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Mapping[str, Script], report: Callable[[dict[str, Any]], None]
 ) -> str:
     """Name of the teacher that succeeds most often under noise, the quickest of equals; all play the same seeds.
 
@@ -155,7 +155,7 @@ def train_expert(
     source: str,
     config: ExpertConfig,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
-    teachers: Callable[[], tuple[dict[str, Script], dict[str, int]]] | None = None,
+    teachers: Callable[[], tuple[Mapping[str, Script], dict[str, int]]] | None = None,
     run: Run | None = None,
 ) -> tuple[GaussianPolicy, ValueFunction, dict[str, Any]]:
     """Demonstrate, clone, improve on F(beta_0).
@@ -254,7 +254,7 @@ class _Training:
             self.run.append_metrics(record)
             self._records += 1
 
-    def clone(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> None:
+    def clone(self, source: str, scripts: Mapping[str, Script], counts: dict[str, int]) -> None:
         """Demonstrations, behaviour cloning, and rounds of visiting with a recorded teacher; from where the run was left."""
         lessons = self._first_lessons(source, scripts, counts) if self.lessons is None else self.lessons
         if self.recorded:
@@ -262,7 +262,7 @@ class _Training:
             self.cloned = True
             self.checkpoint()
 
-    def _first_lessons(self, source: str, scripts: dict[str, Script], counts: dict[str, int]) -> _Lessons:
+    def _first_lessons(self, source: str, scripts: Mapping[str, Script], counts: dict[str, int]) -> _Lessons:
         """Choose the teacher, let it demonstrate, clone it."""
         config = self.config
         merged = arms_of(self.engine)
@@ -297,10 +297,13 @@ class _Training:
     def _visits(self, script: Script, lessons: _Lessons) -> None:
         """The clone plays and its teacher says what it would have done, until the clone has mastered the task."""
         config = self.config
+        engine = self.engine
+        if not isinstance(engine, RolloutEngine):
+            raise ToolkitError("a teacher goes along on merged robots alone; give a RolloutEngine")
         again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
         while self.rounds < config.rounds:
             round_ = self.rounds + 1
-            lessons, success = _visit(self.engine, self.beta, config, script, self.policy, lessons, round_, self.rng)
+            lessons, success = _visit(engine, self.beta, config, script, self.policy, lessons, round_, self.rng)
             self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
             if success >= config.mastered:
                 break

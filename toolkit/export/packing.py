@@ -480,7 +480,7 @@ def _start(plant: Plant) -> Start:
     )
 
 
-def _tolerances(kinematics: Kinematics, start: Start, width: float) -> dict[str, float]:
+def _tolerances(kinematics: Kinematics, start: Start, width: float) -> dict[str, Any]:
     """Start's tolerances where every arm joint may be off by ``width`` [rad]: the grasp frame goes farthest where each is off by all."""
     arm, fingers = np.array(start.arm_rad), np.array(list(start.fingers.values()))
     kinematics.place(arm, fingers)

@@ -6,6 +6,7 @@ differ from this machine's are refused by name. Ray hands objects over by pickle
 """
 
 import hashlib
+import logging
 import os
 import socket
 import threading
@@ -334,7 +335,7 @@ def _connected(address: str) -> tuple[Any, bool]:
     try:
         if address != "auto":
             socket.create_connection((host, int(port)), timeout=5.0).close()  # Ray itself would try for minutes
-        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except ValueError:
         raise ToolkitError(f"cluster {address!r} is no address; give auto, or HOST:PORT of the head as `ray start` printed it") from None
     except (OSError, RuntimeError) as error:
