@@ -109,25 +109,28 @@ def tree(
     metric: "Metric" = "l1",
     kind: "Kind" = "steiner",
     effort: float = 1.0,
+    task: "str | Task" = TASK,
 ) -> "EvolutionTree":
-    """The evolution tree from an arm with a gripper to others; of robots of another family it is ``match(...).tree(metric, kind)``.
+    """The evolution tree from the source to the targets.
 
     Args:
         source, targets: as for ``match``.
         metric: "l1" or "l2".
         kind: "steiner", "geometric-median" or "independent".
         effort: how long to search and prove.
+        task: what they do; robots other than arms with grippers are compared in their task's scene.
 
     Raises:
         ToolkitError: as ``match``.
     """
     from toolkit.evolution import evolution_tree
-    from toolkit.morphology.lab import check_roles
+    from toolkit.morphology.lab import check_players, check_roles
     from toolkit.morphology.survey import as_points
 
-    systems = [_arm(name) for name in (source, *targets)]
+    systems, what = [_robot(name) for name in (source, *targets)], _task(task)
     check_roles(systems[0], systems[1:])
-    start, *goals = as_points(systems)
+    check_players(systems, what)
+    start, *goals = as_points(systems, what)
     return evolution_tree(start, goals, metric, kind, effort)
 
 

@@ -112,7 +112,8 @@ def test_every_public_thing_is_documented(path):
     undocumented = [] if ast.get_docstring(tree(path)) or not path.read_text().strip() else ["the module"]
     for node in tree(path).body:
         public = isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
-        if public and not ast.get_docstring(node):
+        overload = any(ast.unparse(decorator) == "overload" for decorator in getattr(node, "decorator_list", ()))
+        if public and not overload and not ast.get_docstring(node):
             undocumented.append(node.name)
     assert not undocumented, f"{label(path)}: no docstring for {undocumented}"
 

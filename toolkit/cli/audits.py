@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from toolkit.cli.inspection import known_run
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_pick, make_lab, transfer_config
+from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_pick, make_lab, merged_arms, transfer_config
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
 
@@ -51,7 +51,7 @@ def audit(
     with Progress("audit", quiet=json) as progress:
         if run is None:
             lab = make_lab(source, targets, task)
-            merged, ways = lab.merged, ways_of(lab.tree(metric, kind))
+            merged, ways = merged_arms(lab), ways_of(lab.tree(metric, kind))
         else:
             known = known_run(run)
             merged, ways = known.merged, ways_in(known.tree())

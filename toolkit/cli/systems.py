@@ -2,9 +2,9 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from toolkit.cli.names import TASK, all_robots, broken_cards, family_of, find_robot, find_task, make_lab
+from toolkit.cli.names import TASK, all_robots, broken_cards, family_of, find_arm, find_task, make_lab, merged_arms
 from toolkit.cli.terminal import Progress, emit, room_for, short, table
 from toolkit.errors import ToolkitError
 
@@ -26,7 +26,7 @@ def robots(check: str | None = None, json: bool = False) -> None:
 
     known = all_robots()
     if check is not None:
-        _check(find_robot(check), json)
+        _check(find_arm(check), json)
         return
     rows = [
         {"name": r.name, "role": "source" if r.source_of_policy else "target", "arm": r.arm,
@@ -101,26 +101,27 @@ def match(
         from toolkit.inspection.merged_tree import plot_merged_tree
         from toolkit.morphology.quantities import QUANTITIES
 
-        figures = []
-        for robot in (lab.source, *lab.targets):
-            progress.show("match", f"measuring {robot.name}", len(figures), len(targets) + 1)
-            figures.append(parity(lab.merged, robot))
-        milliseconds = become_milliseconds(lab.merged)
+        merged = merged_arms(lab)
+        figures: list[dict[str, Any]] = []
+        for name in (source, *targets):
+            progress.show("match", f"measuring {name}", len(figures), len(targets) + 1)
+            figures.append(parity(merged, find_arm(name)))
+        milliseconds = become_milliseconds(merged)
         if episodes:
             progress.show("match", f"{episodes} episodes on the merged {source} and on robosuite's", now=True)
         survival = _survival(lab, episodes) if episodes else []
     content = {"D": lab.space.size, "source": source, "parameters": len(lab.space.parameters),
-               "become_ms": milliseconds, "robots": figures, "dropped_meshes": lab.space.matching.dropped_meshes,
+               "become_ms": milliseconds, "robots": figures, "dropped_meshes": merged.space.matching.dropped_meshes,
                "expert": survival,
-               "pairs": [asdict(pair) | {"overridden": pair.overridden} for pair in lab.space.matching.pairs]}
+               "pairs": [asdict(pair) | {"overridden": pair.overridden} for pair in merged.space.matching.pairs]}
     if theta:
         content |= {"theta": lab.space.describe(), "quantities": QUANTITIES}
     if json:
         emit(content, True, "")
     else:
-        _show_match(lab.space.matching, content)
+        _show_match(merged.space.matching, content)
     if plot is not None:
-        plot_merged_tree(lab.space.matching, plot)
+        plot_merged_tree(merged.space.matching, plot)
     if every:
         _say_broken()
 

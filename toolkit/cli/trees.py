@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_pick, find_robot, find_task
+from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_arm, find_pick, find_robot, find_task
 from toolkit.cli.terminal import emit, room_for, table
 from toolkit.errors import ToolkitError
 
@@ -56,9 +56,11 @@ def tree(
 
         check_roles(systems[0], systems[1:])
         check_players(systems, what)
-        start, *goals = as_points(systems, what)
+        start, *others = as_points(systems, what)
+        goals = tuple(others)
         if arms:
-            more["arms"] = [asdict(cost) for cost in compare_arms(systems[0], systems[1:], metric)]
+            first, *more_arms = (find_arm(name) for name in (source, *targets))
+            more["arms"] = [asdict(cost) for cost in compare_arms(first, more_arms, metric)]
     found = evolution_tree(start, goals, metric, kind, effort)
     if growth:
         from toolkit.morphology.survey import growth as grown

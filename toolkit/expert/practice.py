@@ -112,7 +112,7 @@ class _Learning:
         self.steps += sum(episode.steps for episode in played)
         return [self.rewarded(task, episode) for episode in played]
 
-    def rewarded(self, task: PractisedTask, episode: Episode) -> Episode:
+    def rewarded(self, task: ModelTask, episode: Episode) -> Episode:
         """The episode, rewarded by progress."""
         if episode.diverged:
             return episode
