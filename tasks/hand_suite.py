@@ -369,4 +369,7 @@ _KINDS = (
         "AdroitHandRelocateEnv", RelocateScene,
     ),
 )
-CARDS: dict[str, HandTask] = {task.name: task for light in (False, True) for task in (HandTask(*kind, light) for kind in _KINDS)}
+CARDS: dict[str, HandTask] = {
+    task.name: task for light in (False, True)
+    for task in (HandTask(name, records, environment, scene, light) for name, records, environment, scene in _KINDS)
+}

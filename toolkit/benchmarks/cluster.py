@@ -12,7 +12,7 @@ from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.lab import Lab
 from toolkit.simulation.cluster import Cluster, ClusterEngine, imported_ray
-from toolkit.simulation.rollout import RolloutEngine
+from toolkit.simulation.rollout import Engine, RolloutEngine
 
 CORES = (16, 256, 4096)
 """Processors for which a rate is worked out from what was measured."""
@@ -67,8 +67,9 @@ def measure_cluster(
         start_s = time.perf_counter() - began
         there, here = ClusterEngine(cluster), RolloutEngine(lab.merged, cluster.asked)
         try:
-            times, same = {there: np.inf, here: np.inf}, True
-            for engine in (there, here):
+            times: dict[Engine, float] = {there: np.inf, here: np.inf}
+            same = True
+            for engine in times:
                 engine.play(policy.act, alphas[:count], seeds[:count])  # the first episode compiles
             for _ in range(rounds):
                 played = []
@@ -81,7 +82,9 @@ def measure_cluster(
                          "local_episodes_per_s": episodes / times[here], "ratio_to_local": times[here] / times[there],
                          "lost": cluster.lost})
         finally:
-            there.close(), here.close(), cluster.close()
+            there.close()
+            here.close()
+            cluster.close()
     sent = policy.parameters.nbytes + sum(array.nbytes for array in policy.layers()[1:3])
     returned = float(np.mean([sum(np.asarray(value).nbytes for value in vars(episode).values()) for episode in played[0]]))
     seconds = min(row["actors"] / row["episodes_per_s"] for row in rows)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from robots.model_robot import ModelRobot
-from tasks.task import PractisedTask
+from tasks.task import ModelTask, PractisedTask
 from toolkit.errors import ToolkitError
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
