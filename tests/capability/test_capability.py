@@ -16,7 +16,7 @@ from tasks.pick import ACTION_SIZE, START_ROTATION
 from toolkit.benchmarks import parity
 from toolkit.capability.audit import LEADS, SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
 from toolkit.capability.bench import Bench, Capability
-from toolkit.capability.figure import save_audit
+from toolkit.capability.figure import ROWS, audit_figure, save_audit
 from toolkit.errors import ToolkitError
 from toolkit.morphology.lab import Lab
 from toolkit.morphology.linkage import BOX_WIDTH, closed_on_box
@@ -339,3 +339,13 @@ def test_the_closed_bench_leaves_the_model_alone(lab):
     closed_on_box(model, model.qpos0, [0], model.body("object").id, [7], lambda command: np.zeros(1), -1.0)
     assert np.array_equal(before[0], model.geom_friction) and np.array_equal(before[1], model.opt.gravity)
     assert isinstance(model, mujoco.MjModel) and TASKS
+
+
+def test_a_picture_has_rows_for_what_was_measured_alone():
+    robot = dict.fromkeys(ROWS) | {"grip_n": 20.0}
+    edges = [{"from": "s", "to": name, "first": None, "violations": [],
+              "robots": [robot | {"share": share, "height_mm": 3.0 + share if name == "a" else None} for share in (0.0, 1.0)]}
+             for name in ("a", "b")]
+    panels = audit_figure(edges).axes
+    assert len(panels) == 4 and [axes.get_ylabel() for axes in panels if axes.get_ylabel()] == ["grip [N]", "height [mm]"]
+    assert [len(axes.lines) > 0 for axes in panels] == [True, True, True, False], "b was not measured for height"

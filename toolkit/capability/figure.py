@@ -20,14 +20,19 @@ LINE, BROKEN, BAND = "#0072b2", "#d55e00", "#e8e8e8"
 
 
 def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
-    """Draw audited edges, as ``Edge.to_json`` gives them; ends are marked, robots that break the promise are in colour."""
-    figure = Figure(figsize=(0.8 + 1.55 * max(len(edges), 1), 1.15 * len(ROWS) + 0.6), facecolor="white", layout="constrained")
+    """Draw audited edges, as ``Edge.to_json`` gives them; ends are marked, robots that break the promise are in colour.
+
+    A quantity that no robot of any edge was measured for, as in a transfer's own short audit, has no row.
+    """
+    measured = {quantity for quantity in ROWS for edge in edges for robot in edge["robots"] if robot[quantity] is not None}
+    rows = {quantity: label for quantity, label in ROWS.items() if quantity in measured} or ROWS
+    figure = Figure(figsize=(0.8 + 1.55 * max(len(edges), 1), 1.15 * len(rows) + 0.6), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(len(ROWS), max(len(edges), 1), squeeze=False, sharex=True, sharey="row")
+    panels = figure.subplots(len(rows), max(len(edges), 1), squeeze=False, sharex=True, sharey="row")
     for column, edge in enumerate(edges):
         turned = f"\n{turning(edge['first'], edge.get('lead', 1.0))}" if edge.get("first") else ""
         panels[0][column].set_title(f"{edge['from']}\nto {edge['to']}{turned}", fontsize=8)
-        for row, (quantity, label) in enumerate(ROWS.items()):
+        for row, (quantity, label) in enumerate(rows.items()):
             axes = panels[row][column]
             _panel(axes, edge, quantity)
             axes.tick_params(labelsize=7)
