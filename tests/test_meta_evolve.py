@@ -152,6 +152,7 @@ def test_the_command_line_passes_files_of_the_same_names(crowded, module):
     assert {"adroit", "kinova3"} <= {row["name"] for row in json.loads(done.stdout)["robots"]}
 
 
+@pytest.mark.slow
 def test_workers_pass_files_of_the_same_names(crowded):
     """They load what the parent sends them, in the parent's folder."""
     done = python(crowded, "-c", "import meta_evolve; print(meta_evolve.evaluate('kinova3', episodes=4, processes=2).episodes)")

@@ -46,6 +46,7 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     assert found["refused"] > FILES / 4, f"{name}: the damage harms nothing: {found}"
 
 
+@pytest.mark.slow
 def test_the_fuzzer_finds_readers_that_break(tmp_path, monkeypatch):
     """One that raises something else, and one that ends its process, are told from each other and from the next file."""
     from toolkit.benchmarks import fuzz as module

@@ -131,6 +131,7 @@ def test_an_end_that_cannot_hold_promises_nothing():
 # ---- the audit -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_broken_motor_is_found_and_named(lab, monkeypatch):
     """A law that lets the thumb's motor vanish half way is a cliff: the audit must find it, and blame the thumb."""
     thumb, index = lab.merged.law.fingers.index("TH"), lab.space.matching.names.index("iiwa")
@@ -172,6 +173,7 @@ def test_nothing_is_wrong_between_two_linkages(lab, tmp_path):
         save_audit(content, tmp_path / "audit.xyz")
 
 
+@pytest.mark.slow
 def test_where_both_sides_at_once_cannot_hold_one_goes_first(lab, tmp_path):
     """To the Jaco the script drops the object half way, unless the fingers have arrived before the thumb sets out."""
     tree = lab.tree("l1", "steiner")
@@ -202,6 +204,7 @@ def test_a_bent_way_is_as_long_in_l1_and_goes_through_its_corner(lab):
     assert not set(lab.space.side("thumb")) & set(lab.space.side("fingers"))
 
 
+@pytest.mark.slow
 def test_the_grip_along_the_paper_s_tree_keeps_the_promise(lab):
     """The thin part of the promise that a test can afford: grip on every edge, brief."""
     edges = run_audit(lab.merged, ways_of(lab.tree("l1", "steiner")), robots=7, episodes=0, causes=False, brief=True, threads=2)
@@ -209,6 +212,7 @@ def test_the_grip_along_the_paper_s_tree_keeps_the_promise(lab):
     assert not broken, broken
 
 
+@pytest.mark.slow
 def test_what_changes_on_a_short_way_is_told(lab):
     audit = Audit(lab.merged, brief=True, threads=2)
     told = audit.change(Way("here", "next", lab.space.beta("kinova3"), lab.space.beta("jaco")))

@@ -440,6 +440,7 @@ def test_the_tree_of_the_robots(capsys, monkeypatch, space):
     assert found["growth"][-1]["length"] == found["length"]
 
 
+@pytest.mark.slow
 def test_the_audit_of_the_robots(capsys, lab, tmp_path):
     """Two robots per edge are its ends, and the refined ones; test_capability.py holds what they must be able to do."""
     names = lab.space.matching.names

@@ -167,6 +167,7 @@ def test_a_twin_that_is_killed_ends_in_a_sentence_with_what_is_known():
     assert "of 50 was not finished" in err and f"the twin at 127.0.0.1:{port} has gone" in err, err
 
 
+@pytest.mark.slow
 def test_a_twin_that_hangs_is_not_waited_for_without_end(monkeypatch):
     twin = subprocess.Popen(command("twin", "kinova3", "--pace", "lockstep"), stdout=subprocess.PIPE, text=True)
     port = int(twin.stdout.readline().rsplit(":", 1)[1])

@@ -148,6 +148,7 @@ def test_the_command_prints_what_came_of_each(capsys):
     assert stop.value.code == 2 and "no fault is named 'no such fault'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_processes_lines_and_disks(capsys):
     main(["bench", "faults", "kinova3", "--form", "osc", "--only", "line", "--json"])
     found = {row["fault"]: row for row in json.loads(capsys.readouterr().out)["trials"]}

@@ -41,6 +41,7 @@ def test_the_check_passes_and_the_robot_is_known(folder):
     assert found["findings"] == [] and len(found["start_arm_rad"]) == 7
 
 
+@pytest.mark.slow
 def test_the_merge_keeps_the_eighth_system(folder, task):
     spec = importlib.util.spec_from_file_location("panda140", folder / "robots" / "panda140.py")
     module = importlib.util.module_from_spec(spec)

@@ -76,6 +76,7 @@ class Folder:
         return (self.path / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_page_can_be_followed_from_its_first_command_to_its_last(followed, capsys, monkeypatch):
     shown = []
     monkeypatch.setattr(viewer, "has_display", lambda: True)  # without one, view serves the log until Ctrl-C

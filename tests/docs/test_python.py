@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import meta_evolve
 
 ROOT = Path(__file__).parents[2]
@@ -28,6 +30,7 @@ def test_the_page_names_all_that_there_is():
     assert named == functions - {"ToolkitError"}
 
 
+@pytest.mark.slow
 def test_the_page_looks_plays_and_evaluates(tmp_path):
     robots, *edges, merged, played, evaluated = run(LOOK, tmp_path)
     assert robots.split()[0] == "adroit" and {"kinova3", "iiwa", "jaco"} <= set(robots.split())
@@ -37,6 +40,7 @@ def test_the_page_looks_plays_and_evaluates(tmp_path):
     assert re.match(r"[34] of 4, 0 diverged", evaluated)
 
 
+@pytest.mark.slow
 def test_the_page_transfers_and_exports(tmp_path):
     told = run(TRANSFER, tmp_path)
     assert "'episodes': 4" in told[-2] and told[-1].startswith("Success(episodes=4")

@@ -150,6 +150,7 @@ class Killed(Exception):
     pass
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on_to_the_same_expert(engine, tmp_path):
     """With recorded teachers, whose demonstrations pull the updates; killed before cloning, in both rounds of visits, in an update."""
     config = ExpertConfig(demonstrations=3, copies=1, trials=3, rounds=2, mastered=1.5, visits=2, updates=2,

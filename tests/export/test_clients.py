@@ -380,6 +380,7 @@ def test_a_twin_of_another_pace_is_refused(asked_for, has, capsys):
         process.wait()
 
 
+@pytest.mark.slow
 def test_a_twin_ends_with_the_deployment_that_started_it():
     """Whose process may be killed without a word."""
     command = [sys.executable, "-m", "toolkit.cli", "deploy", "kinova3", "--episodes", "50", "--pace", "lockstep"]

@@ -271,6 +271,7 @@ def test_what_stands_still_in_a_gif_is_the_same_in_every_picture(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "gif"])
+@pytest.mark.slow
 def test_a_run_becomes_a_film(tmp_path, known, suffix):
     """As long as it says, in colour, and its last picture is the target, standing."""
     import cv2

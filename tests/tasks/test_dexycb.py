@@ -460,6 +460,7 @@ def flip(file, rng):
     file.write_bytes(bytes(data))
 
 
+@pytest.mark.slow
 def test_two_thousand_broken_recordings(one):
     """Each gets one sentence that names a file: no traceback, no other exception, no hang, and nothing accepted."""
     rng = np.random.default_rng(0)

@@ -160,6 +160,7 @@ def test_the_summary_is_the_report_in_words(played):
     assert f"| total | {report['totals']['train_iterations']} | {report['totals']['sim_epochs']} |" in text
 
 
+@pytest.mark.slow
 def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypatch):
     """A copy of the folder, made when an update is on disk and its checkpoint is not, is what a kill leaves there."""
     monkeypatch.setattr("toolkit.transfer.pipeline.load_expert", bent_expert)
