@@ -9,6 +9,7 @@ from toolkit.cli.terminal import Progress, emit, room_for, short, table
 from toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
+    from robots.model_robot import ModelRobot
     from robots.robot import Robot
     from tasks.task import ModelTask
     from toolkit.morphology.lab import Lab
@@ -22,21 +23,32 @@ def robots(check: str | None = None, json: bool = False) -> None:
         check: name of a system: say all that is wrong with its card and models, then try to start it.
         json: print one JSON object instead of a table.
     """
+    known = all_robots()
+    from robots import MODEL_ROBOTS
     from tasks import MODEL_TASKS, TASKS
 
-    known = all_robots()
     if check is not None:
-        _check(find_arm(check), json)
+        if check in MODEL_ROBOTS:
+            _check_change(MODEL_ROBOTS[check], json)
+        else:
+            _check(find_arm(check), json)
         return
     rows = [
         {"name": r.name, "role": "source" if r.source_of_policy else "target", "arm": r.arm,
          "gripper": r.gripper.robosuite_type, "rate": r.gripper.rate, "preshape": r.gripper.preshape}
         for r in known.values()
     ]
+    changes = [
+        {"name": r.name, "role": "source" if r.source_of_policy else "target", "family": r.family.name,
+         "tasks": [task.name for task in MODEL_TASKS.values() if task.family == r.family.name]}
+        for r in MODEL_ROBOTS.values()
+    ]
     if json:
-        emit({"robots": rows, "tasks": [*TASKS, *MODEL_TASKS], "broken": broken_cards()}, True, "")
+        emit({"robots": rows, "model_robots": changes, "tasks": [*TASKS, *MODEL_TASKS], "broken": broken_cards()}, True, "")
     else:
         table("Systems", list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
+        table("Changes of one model", ["name", "role", "family", "tasks"],
+              [[r["name"], r["role"], r["family"], ", ".join(r["tasks"])] for r in changes])
         print(f"Tasks: {', '.join([*TASKS, *MODEL_TASKS])}")
     _say_broken()
 
@@ -61,6 +73,30 @@ def _check(robot: "Robot", json: bool) -> None:
     arm = ", ".join(f"{angle:.3f}" for angle in start.arm)
     text = f"{robot.name}: nothing is wrong; it starts with its arm at {arm} rad. Next: meta-evolve match --targets {robot.name}"
     emit({"name": robot.name, "findings": [], "start_arm_rad": start.arm.tolist()}, json, text)
+
+
+def _check_change(robot: "ModelRobot", json: bool) -> None:
+    """A change of a model: whether it compiles in every task of its family, and another robot of that family can become it."""
+    from tasks import MODEL_TASKS
+    from toolkit.morphology.family import FamilySpace
+
+    found: list[str] = []
+    dimensions: dict[str, int] = {}
+    for task in MODEL_TASKS.values():
+        if task.family == robot.family.name:
+            others = [other for other in family_of(task) if other.name != robot.name][:1]
+            try:
+                dimensions[task.name] = FamilySpace([*others, robot], task).size
+            except ToolkitError as error:
+                found.append(str(error))
+    if not dimensions and not found:
+        found.append(f"no task is for robots of the family {robot.family.name}")
+    if found:
+        emit({"name": robot.name, "findings": found}, json, "\n".join(found))
+        raise ToolkitError(f"robot {robot.name}: {len(found)} thing{'s' if len(found) > 1 else ''} to mend")
+    away = ", ".join(f"{size} in {task}" for task, size in dimensions.items())
+    text = f"{robot.name}: nothing is wrong; from {others[0].name} to it there are as many dimensions: {away}"
+    emit({"name": robot.name, "findings": [], "dimensions": dimensions}, json, text)
 
 
 def match(

@@ -3,6 +3,7 @@
 MP4 with VP9, which every browser plays and which OpenCV, robosuite's own dependency, writes without a program beside it; or GIF.
 """
 
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ SIZE = 720, 540
 """Width and height [pixels]."""
 RATE = 20.0
 """Frames per second; an episode plays as fast as it was."""
+LETTERS = 74
+"""Of a caption, in a line."""
 TURNING, REST = 3.0, 0.8
 """[s] of a path's robots turning into one another, and of a picture that stands still."""
 GIF_EVERY, GIF_WIDTH = 2, 480
@@ -159,7 +162,8 @@ def _drawn(studio: Studio | ModelStudio, cast: Cast, goal: np.ndarray | None, te
 
 def _captioned(studio: Studio | ModelStudio, cast: Cast, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
     picture = Image.fromarray(studio.shot(cast, frame, goal))
-    for line, words in enumerate(text.split("\n")):
+    lines = [line for words in text.split("\n") for line in textwrap.wrap(words, LETTERS)]
+    for line, words in enumerate(lines):
         write_on(picture, (16, 12 + 26 * line), words, 19)
     return picture
 
