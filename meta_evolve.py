@@ -149,6 +149,8 @@ def transfer(
     resume: bool = False,
     watch: Callable[[dict[str, Any]], None] = lambda record: None,
     record: bool = True,
+    cluster: str | None = None,
+    at_once: int = 1,
     **schedule: Any,
 ) -> dict[str, Any]:
     """Transfer the source's expert to every target, and evaluate it on the unmodified robots; the same as ``meta-evolve transfer``.
@@ -167,6 +169,8 @@ def transfer(
         resume: continue the run that is in the folder.
         watch: called with every event, a dictionary with the key "event".
         record: write recording.rrd for the viewer.
+        cluster: Ray cluster that plays the episodes, "auto" or HOST:PORT of its head; None: this machine. The numbers are the same.
+        at_once: paths of the tree that are played side by side. The numbers are the same.
         schedule: fields of ``toolkit.transfer.settings.TransferConfig`` that override the preset's.
 
     Returns:
@@ -184,7 +188,7 @@ def transfer(
     goals = tuple(_robot(name) for name in (PRESETS[preset].get("targets", TARGETS) if targets is None else targets))
     job = Job(start, goals, what, config, PRESETS[preset]["evaluation_episodes"] if episodes is None else episodes,
               expert or taught_by_hands(start.name, what.name))
-    return Pipeline(job, Path(run), resume, watch, record_run if record else None).play()
+    return Pipeline(job, Path(run), resume, watch, record_run if record else None, cluster, at_once).play()
 
 
 def load_policy(run: str | Path, target: str | None = None) -> "GaussianPolicy":

@@ -73,9 +73,7 @@ def assert_same(found, wanted):
 
 
 def test_two_nodes_play_the_same_bits(cluster, batch, local):
-    where = lambda player: ray.get_runtime_context().get_node_id()  # noqa: E731
-    places = {ray.get(actor.__ray_call__.remote(where), timeout=60) for actor in cluster._held}
-    assert len(places) == 2, "both actors stand on one node"
+    assert len({seat.node for seat in cluster._held}) == 2, "both actors stand on one node"
     engine = ClusterEngine(cluster)
     assert_same(engine.play(*batch), local)
     assert engine.episodes_played == 8 and cluster.lost == 0
@@ -143,31 +141,56 @@ def test_without_ray_the_extra_is_named(lab, monkeypatch):
         Cluster(lab, "auto")
 
 
-def test_an_actor_killed_and_a_node_removed_in_the_middle_change_nothing(nodes, cluster, batch, local, wait_for):
-    """First a process dies, then a node with all that it holds; what they were playing is played again, and counted once."""
-    engine, done = ClusterEngine(cluster), []
-    given = cluster.give_back
+def playing(cluster, batch, strike):
+    """Two batches' episodes, and the cluster's engine; ``strike`` is called with the actor that gave the third answer."""
+    engine, done, given = ClusterEngine(cluster), [], cluster.give_back
 
-    def give_back(actor):
-        done.append(actor)
-        if len(done) == 2:
-            ray.kill(actor)
-        if len(done) == 4:
-            node = next(node for node in nodes.worker_nodes)
-            threading.Thread(target=nodes.remove_node, args=(node,), daemon=True).start()
-        given(actor)
+    def give_back(seat):
+        done.append(seat)
+        if len(done) == 3:
+            strike(seat)
+        given(seat)
 
     cluster.give_back = give_back
     actors, alphas, seeds = batch
-    found = engine.play(actors * 2, alphas * 2, seeds + seeds)
-    cluster.give_back = given
+    try:
+        return engine.play(actors * 2, alphas * 2, seeds + seeds), engine
+    finally:
+        cluster.give_back = given
+        engine.close()
+
+
+def test_an_actor_killed_in_the_middle_changes_nothing(cluster, batch, local, wait_for):
+    """What it was given is played again by another one, and counted once."""
+    before = cluster.lost
+    found, engine = playing(cluster, batch, lambda seat: ray.kill(seat.actor))
     assert_same(found, [*local, *local])
-    assert engine.episodes_played == 16 and cluster.lost >= 1
-    wait_for(lambda: len([node for node in ray.nodes() if node["Alive"]]) == 1, 60.0)
+    assert engine.episodes_played == 16 and cluster.lost == before + 1
+    wait_for(lambda: cluster.ready == 2, 300.0)
+
+
+def test_an_episode_with_which_actors_die_again_and_again_ends_the_run(cluster, batch, monkeypatch, wait_for):
+    monkeypatch.setattr(module, "ATTEMPTS", 1)
+    with pytest.raises(ToolkitError, match="1 actors of the Ray cluster at .* were lost in turn with the episode of seed 1.*--resume"):
+        playing(cluster, batch, lambda seat: ray.kill(seat.actor))
+    wait_for(lambda: cluster.ready == 2, 300.0)
+
+
+def test_a_node_removed_in_the_middle_changes_nothing(nodes, cluster, batch, local, monkeypatch, wait_for):
+    """It is not held against the episodes that were played there; a node that joins is used again."""
+    monkeypatch.setattr(module, "ATTEMPTS", 1)
+    (node,) = nodes.worker_nodes
+    before = cluster.lost
+    strike = lambda seat: threading.Thread(target=nodes.remove_node, args=(node,), daemon=True).start()  # noqa: E731
+    found, _ = playing(cluster, batch, strike)
+    assert_same(found, [*local, *local])
+    wait_for(lambda: len([one for one in ray.nodes() if one["Alive"]]) == 1, 60.0)
+    found, _ = playing(cluster, batch, lambda seat: None)
+    assert_same(found, [*local, *local])
+    assert cluster.lost == before + 1, "the actor of the node that is gone"
     nodes.add_node(num_cpus=1, **SMALL)
     wait_for(lambda: cluster.ready == 2, 300.0)
-    assert_same(engine.play(*batch), local)
-    engine.close()
+    assert len({seat.node for seat in cluster._held}) == 2
 
 
 def test_a_cluster_without_room_says_so(nodes, lab, cluster):

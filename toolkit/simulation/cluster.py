@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -36,7 +36,7 @@ PATIENCE = 120.0
 START = 300.0
 """Time [s] without a single actor after which the cluster counts as too small; one takes some ten seconds to merge the robots."""
 ATTEMPTS = 5
-"""Actors that may be lost with one episode: it may be what kills them."""
+"""Actors that may be lost with one episode while their nodes live on: it may be what kills them."""
 GROWTH = 5.0
 """Time [s] between two looks for processors that have joined the cluster."""
 
@@ -68,9 +68,9 @@ class Player:
         self._natives: dict[str, NativeEngine] = {}
         self._environments: dict[str, Playable] = {}
 
-    def identity(self) -> tuple[str, dict[str, Any]]:
-        """Name of the machine, and its identity."""
-        return socket.gethostname(), identity(self._engine)
+    def identity(self) -> tuple[str, str, dict[str, Any]]:
+        """Ray's name of the node, the machine's own, and its identity."""
+        return imported_ray().get_runtime_context().get_node_id(), socket.gethostname(), identity(self._engine)
 
     def play(self, native: str | None, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
         """One episode on F(alpha), or on the unmodified robot of that name."""
@@ -86,6 +86,14 @@ class Player:
             self._environments[native] = native_robot(self._robots[native], self._task)
         robot = self._environments[native]
         return robot.play(act, seed), robot.diverged
+
+
+@dataclass(eq=False)
+class _Seat:
+    """An actor, and the node where it is."""
+
+    actor: Any
+    node: str = ""
 
 
 class Cluster:
@@ -115,7 +123,7 @@ class Cluster:
         engine.close()
         self._actor = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Player)
         self._idle: SimpleQueue = SimpleQueue()
-        self._held: list[Any] = []
+        self._held: list[_Seat] = []
         self._changing, self._closed = threading.Lock(), threading.Event()
         self._refusal = ""
         self.asked = self.ready = self.lost = 0
@@ -146,18 +154,19 @@ class Cluster:
         Raises:
             ToolkitError: as of ``borrow``, or the method's own; or actors are lost again and again with that episode.
         """
-        errors = self._ray.exceptions
-        for _ in range(ATTEMPTS):
-            actor = self.borrow()
+        errors, lost = self._ray.exceptions, 0
+        while lost < ATTEMPTS:
+            seat = self.borrow()
             try:
-                answer = self._ray.get(getattr(actor, method).remote(*arguments), timeout=self.patience)
+                answer = self._ray.get(getattr(seat.actor, method).remote(*arguments), timeout=self.patience)
             except errors.RayTaskError as error:
-                self.give_back(actor)
+                self.give_back(seat)
                 raise error.cause if isinstance(error.cause, ToolkitError) else error from None
             except (errors.RayError, ConnectionError):
-                self.lose(actor)
+                lost += self._lives(seat.node)  # a node's end is no episode's fault
+                self.lose(seat)
             else:
-                self.give_back(actor)
+                self.give_back(seat)
                 return answer
         raise ToolkitError(
             f"{ATTEMPTS} actors of the Ray cluster at {self.address} were lost in turn with the episode of seed {arguments[-1]}; look at "
@@ -173,7 +182,7 @@ class Cluster:
         finally:
             pool.shutdown(cancel_futures=True)
 
-    def borrow(self) -> Any:
+    def borrow(self) -> _Seat:
         """An actor that has nothing to do.
 
         Raises:
@@ -210,18 +219,18 @@ class Cluster:
                 )
             time.sleep(0.05)
 
-    def give_back(self, actor: Any) -> None:
+    def give_back(self, seat: _Seat) -> None:
         """The actor has nothing to do any more."""
-        self._idle.put(actor)
+        self._idle.put(seat)
 
-    def lose(self, actor: Any) -> None:
+    def lose(self, seat: _Seat) -> None:
         """The actor has died or is late: another one is asked for."""
         with self._changing:
             self.ready -= 1
             self.lost += 1
             self._alive = time.monotonic()
         if not self._closed.is_set():
-            self._drop(actor)
+            self._drop(seat)
             self._begin()
 
     def close(self) -> None:
@@ -229,15 +238,21 @@ class Cluster:
         self._closed.set()
         with self._changing:
             held, self._held = self._held, []
-        for actor in held:
-            self._ray.kill(actor)
+        for seat in held:
+            self._ray.kill(seat.actor)
         if self._ours:
             self._ray.shutdown()
 
-    def _drop(self, actor: Any) -> None:
+    def _lives(self, node: str) -> bool:
+        try:
+            return any(one["NodeID"] == node and one["Alive"] for one in self._ray.nodes())
+        except (self._ray.exceptions.RayError, ConnectionError):
+            return False  # the head has gone, and all else with it
+
+    def _drop(self, seat: _Seat) -> None:
         with self._changing:
-            self._held = [other for other in self._held if other is not actor]
-        self._ray.kill(actor)
+            self._held = [other for other in self._held if other is not seat]
+        self._ray.kill(seat.actor)
 
     def _begin(self) -> None:
         threading.Thread(target=self._bring_up, daemon=True).start()
@@ -245,20 +260,20 @@ class Cluster:
     def _bring_up(self) -> None:
         """Wait until an actor has room and is ready, however often it dies before that; refuse one that differs."""
         while not self._closed.is_set():
-            actor = self._actor.remote(self.lab.source, self.lab.targets, self.lab.task)
+            seat = _Seat(self._actor.remote(self.lab.source, self.lab.targets, self.lab.task))
             with self._changing:
-                self._held.append(actor)
+                self._held.append(seat)
             try:
-                answer = actor.identity.remote()
+                answer = seat.actor.identity.remote()
                 while not self._ray.wait([answer], timeout=0.5)[0]:
                     if self._closed.is_set():
                         return
-                machine, theirs = self._ray.get(answer, timeout=self.patience)
+                seat.node, machine, theirs = self._ray.get(answer, timeout=self.patience)
             except (self._ray.exceptions.RayError, ConnectionError) as error:
                 if isinstance(error, self._ray.exceptions.RayTaskError) or "creation task" in str(error):
                     self._refusal = f"an actor on the Ray cluster at {self.address} cannot begin ({_sentence(error)}); mend that node"
                     return
-                self._drop(actor)
+                self._drop(seat)
                 self._closed.wait(1.0)
                 continue
             differing = [key for key, value in self._own.items() if theirs.get(key) != value]
@@ -267,7 +282,7 @@ class Cluster:
                 return
             with self._changing:
                 self.ready += 1
-            self._idle.put(actor)
+            self._idle.put(seat)
             return
 
     def _difference(self, machine: str, theirs: dict[str, Any], key: str) -> str:
