@@ -11,21 +11,26 @@ from robots import ROBOTS
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import evaluate_compiled, evaluate_native
 from toolkit.expert.shelf import load_expert
+from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import MeanActor
 from toolkit.morphology.lab import Lab
 from toolkit.runs.provenance import code_digest
+from toolkit.runs.run import Run
 from toolkit.simulation import cluster as module
 from toolkit.simulation.cluster import Cluster, ClusterEngine
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.transfer.meta_evolve import Transfer
+from toolkit.transfer.settings import TransferConfig
 
 ray = pytest.importorskip("ray")
 TARGET = "kinova3"
+TIMING = {"episodes_per_s", "play_s", "learn_s", "seconds"}
 SMALL = {"object_store_memory": 100 * 2**20}
 
 
 @pytest.fixture(scope="module")
 def lab(task):
-    return Lab(ROBOTS["adroit"], [ROBOTS[TARGET]], task)
+    return Lab(ROBOTS["adroit"], [ROBOTS[TARGET], ROBOTS["jaco"]], task)
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +98,29 @@ def test_success_on_the_unmodified_robots_own_step_is_the_same(cluster, task):
     here = evaluate_native(expert, ROBOTS[TARGET], task, 4, processes=1)
     assert evaluate_native(expert, ROBOTS[TARGET], task, 4, cluster=cluster) == here
     assert evaluate_compiled(expert, ROBOTS[TARGET], task, 4, cluster=cluster) == evaluate_compiled(expert, ROBOTS[TARGET], task, 4)
+
+
+def test_a_transfer_on_the_cluster_side_by_side_is_the_local_one(cluster, lab, task, tmp_path):
+    """A small one of an expert that misses, whose budget is soon spent: the same costs and policies, and of each path the same metrics."""
+    expert, value = load_expert("adroit", task)
+    parameters = expert.parameters.copy()
+    parameters[-2 * len(expert.action_names)] += 0.6  # bias of the first action entry
+    expert.set_parameters(parameters)
+    config = TransferConfig(kind="independent", xi=4.0, check_episodes=2, goal_episodes=2, path_budget=4, check_every=1, native=False,
+                            npg=NpgConfig(batch_size=4))
+
+    def played(folder, engine, at_once):
+        transfer = Transfer(config, *lab.terminals(), expert.copy(), value.copy(), engine, {}, Run.create(folder, {}))
+        policies = transfer.meta_evolve(at_once)
+        engine.close()
+        told = [{key: value for key, value in record.items() if key not in TIMING} for record in transfer.run.read_metrics()]
+        return policies, transfer.costs, {path: [record for record in told if record["path"] == path] for path in transfer.costs}
+
+    (mine, costs, told), (theirs, others, heard) = (
+        played(tmp_path / "far", ClusterEngine(cluster), 2), played(tmp_path / "here", RolloutEngine(lab.merged), 1))
+    assert costs == others and told == heard and sum(cost.train_iterations for cost in costs.values()) > 0
+    for name in (TARGET, "jaco"):
+        np.testing.assert_array_equal(mine[name].parameters, theirs[name].parameters, err_msg=name)
 
 
 def test_an_actors_error_is_the_callers(cluster, batch):
