@@ -26,21 +26,22 @@ LOOK_AHEAD = 1.2
 SCATTERED, BESIDE, TURNED = 0.75, 0.5, 0.8
 """Where an ant starts to learn: share of the episodes that begin anywhere along the way, half width of the uniform noise about its centre
 line [m], and of the yaw from its direction [rad]."""
-FLOOR_YAW = 1.8
-"""Half width [rad] of the uniform yaw from which an ant learns to run on the floor: more than a bend can leave it with."""
-FACING = 2.0
+FLOOR_YAW = 0.9
+"""Half width [rad] of the uniform yaw from which an ant learns to run on the floor: as much as a bend leaves it with, if it does not turn
+until halfway."""
+FACING = 0.4
 """How much way [m] it is worth to an ant that learns to turn to where it goes from having its back to it. What is lost by turning away is
 what is won by turning back, so that it leads nowhere but along the way (Ng, Harada and Russell, "Policy Invariance under Reward
-Transformations", ICML 1999)."""
+Transformations", ICML 1999). Five times as much hid what a step gained behind the torso's swaying."""
 
 _JOINTS = [f"{joint}_{leg}" for leg in range(1, 5) for joint in ("hip", "ankle")]
 # Thicker legs and wider mounts shift the angles and the height at which an ant trots, and where it believes to be decides where it turns.
 OBSERVATION = Record({
-    "height": Entry(1, "m", "world", "of the torso", scale=0.1, explored=0.03),
-    "orientation": Entry(4, "1", "way", "of the torso, quaternion, w first and not negative", scale=0.2),
-    **{name: Entry(1, "rad", "joint", "angle", scale=0.3, explored=0.05) for name in _JOINTS},
-    "velocity": Entry(3, "m/s", "way", "of the torso", scale=1.0, explored=0.3),
-    "angular_velocity": Entry(3, "rad/s", "torso", "of the torso", scale=1.0),
+    "height": Entry(1, "m", "world", "of the torso", scale=0.2, explored=0.03),
+    "orientation": Entry(4, "1", "way", "of the torso, quaternion, w first and not negative", scale=0.4),
+    **{name: Entry(1, "rad", "joint", "angle", scale=0.5, explored=0.05) for name in _JOINTS},
+    "velocity": Entry(3, "m/s", "way", "of the torso", scale=2.0, explored=0.3),
+    "angular_velocity": Entry(3, "rad/s", "torso", "of the torso", scale=2.0),
     **{f"{name}_speed": Entry(1, "rad/s", "joint", "speed", scale=5.0) for name in _JOINTS},
     "aside": Entry(1, "cells", "way", "place of the torso to the left of the centre line", scale=0.2, explored=0.1),
     "left": Entry(1, "cells", "way", "of the way, to the opening", scale=1.0),
