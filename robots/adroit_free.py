@@ -134,7 +134,13 @@ def unchanged(spec: mujoco.MjSpec) -> None:
 
 
 def become(spec: mujoco.MjSpec, fingers: tuple[str, ...]) -> None:
-    """Make ADROIT in a scene a hand of the thumb and these fingers, "ff" among them."""
+    """Make ADROIT in a scene a hand of the thumb and these fingers, "ff" among them.
+
+    Raises:
+        ValueError: no index finger, or what is no finger.
+    """
+    if "ff" not in fingers or not set(fingers) <= set(FINGERS):
+        raise ValueError(f"fingers are {', '.join(fingers) or 'none'}; name the index, ff, which meets the thumb, and any of mf, rf and lf")
     _simplify_thumb(spec)
     _narrow_palm(spec)
     for finger in FINGERS:

@@ -1,14 +1,18 @@
 """The free ADROIT and its targets: one joint per finger moves, vanished fingers are out of the way, nothing blows up."""
 
 import pickle
+from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
 import pytest
 
 from robots import MODEL_ROBOTS
-from robots.adroit_free import FAMILY, REMNANT, SWING
+from robots.adroit_free import FAMILY, REMNANT, SWING, become
 from tasks import MODEL_TASKS
+from toolkit.errors import ToolkitError
+from toolkit.morphology.lab import Lab
 
 HANDS = {"two-finger": ("ff",), "three-finger": ("ff", "lf"), "four-finger": ("ff", "mf", "lf")}
 every_hand = pytest.mark.parametrize("name", HANDS)
@@ -143,3 +147,17 @@ def test_elements_put_together_what_belongs_together():
 def test_hands_go_to_other_processes(name):
     """Evaluations play in worker processes."""
     assert pickle.dumps(MODEL_ROBOTS[name]) and pickle.dumps(MODEL_TASKS["door"])
+
+
+@pytest.mark.parametrize("fingers", [(), ("mf",), ("ff", "sixth")])
+def test_a_hand_without_the_finger_that_meets_the_thumb_is_refused(fingers):
+    odd = replace(MODEL_ROBOTS["two-finger"], name="odd", change=partial(become, fingers=fingers))
+    with pytest.raises(ToolkitError, match="robot odd does not compile in task door: fingers are .*; name the index") as caught:
+        Lab(MODEL_ROBOTS["adroit-free"], [odd], MODEL_TASKS["door"])
+    assert "\n" not in str(caught.value)
+
+
+def test_the_space_has_as_many_dimensions_as_the_papers():
+    robots = [MODEL_ROBOTS[name] for name in HANDS]
+    for task in (task for task in MODEL_TASKS.values() if task.family == FAMILY.name):
+        assert Lab(MODEL_ROBOTS["adroit-free"], robots, task).space.size == 65, task.name

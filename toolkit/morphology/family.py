@@ -109,9 +109,9 @@ class Reading:
     """
 
     def __init__(self, robot: ModelRobot, task: ModelTask) -> None:
-        spec = task.spec(robot)
         self.robot = robot
         try:
+            spec = task.spec(robot)
             self.model = spec.compile()
         except ValueError as error:
             raise ToolkitError(f"robot {robot.name} does not compile in task {task.name}: {' '.join(str(error).split())}") from error
