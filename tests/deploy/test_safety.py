@@ -295,6 +295,7 @@ def test_a_steady_action_commands_the_metres_that_the_arm_would_make(bundle, for
     m = bundle.manifest
     runtime = Runtime(bundle, info_of(m), form, lambda observation: np.array([0, 0, 0.2, 0, 0, 0, -1.0]))
     state, puppet = start_state(bundle), Puppet(bundle, np.random.default_rng(0))
+    puppet.begin(0.0)
     assert runtime.begin(state, 0.0) is None
     kinematics = Kinematics.of(m, bundle.mjcf)
     kinematics.place(state.joints, state.fingers)
