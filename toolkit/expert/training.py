@@ -220,13 +220,13 @@ def imitate(
     return policy, value, training.card
 
 
-def arms_of(engine: RolloutEngine | NativeEngine) -> MergedRobot:
-    """The merged robot of arms with grippers on which an engine plays.
+def arms_of(engine: Any) -> MergedRobot:
+    """The merged robot of arms with grippers on which an engine (RolloutEngine, ClusterEngine) plays.
 
     Raises:
         ToolkitError: it plays on other robots.
     """
-    merged = engine.merged if isinstance(engine, RolloutEngine) else None
+    merged = getattr(engine, "merged", None)
     if not isinstance(merged, MergedRobot):
         raise ToolkitError("scripts and recordings of hands teach merged arms with grippers alone; give an engine of such robots")
     return merged

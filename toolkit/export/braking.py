@@ -13,11 +13,11 @@ from toolkit.deploy.motion import motion_of
 from toolkit.export.twin import Twin
 
 STOPPED_FROM, MOVED_FOR, STOPPED_FOR = (0.25, 0.5, 1.0), 8, 16
-"""Actions from which the arm is held, policy steps that it moves before, and that it is watched after at most."""
+"""Actions from which the arm is held, policy steps that it moves before, and that it is watched after."""
 DIRECTIONS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1))
 """In which it moves: not down, where the object and the table are."""
-AT_REST, SURE = 1e-4, 3
-"""[m] per policy step below which an arm stands, and for how many it must to be watched no longer."""
+AT_REST = 1e-4
+"""[m] per policy step below which an arm stands."""
 FAR = 100.0
 """[m, rad] at which the workspace's borders do not slow a motion that is only measured."""
 
@@ -67,6 +67,4 @@ def _path(twin: Twin, form: Form, action: np.ndarray, manifest: Manifest, mjcf: 
         command: Command = motion.advance(action, np.array(twin.read()["joints"])) if step < MOVED_FOR else motion.hold()
         twin.send(command)
         look()
-        if step >= MOVED_FOR + SURE and np.linalg.norm(np.diff(places[-SURE - 1 :], axis=0), axis=1).max() < AT_REST:
-            break
     return np.array(places)
