@@ -94,10 +94,11 @@ def test_what_stops_a_run_is_not_hidden_by_the_recording(tmp_path, monkeypatch):
     job = pipeline.Pipeline.__new__(pipeline.Pipeline)
     story, watched = Broken("finish", RuntimeError("File-writer thread shut down")), []
     job.story = _Told(tmp_path, lambda: story)
+    job._at_once, job.cluster = 1, None
     job.watch, job.engine = watched.append, type("Engine", (), {"trouble": "", "close": lambda self: None})()
 
     class Transfer:
-        def meta_evolve(self):
+        def meta_evolve(self, at_once):
             raise ToolkitError("checkpoint cannot be written (No space left on device)")
 
     job.transfer, job.run = Transfer(), Run.create(tmp_path / "r", {})

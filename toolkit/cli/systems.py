@@ -139,7 +139,7 @@ def match(
 
         merged = merged_arms(lab)
         figures: list[dict[str, Any]] = []
-        for name in (source, *targets):
+        for name in [robot.name for robot in (lab.source, *lab.targets)]:
             progress.show("match", f"measuring {name}", len(figures), len(targets) + 1)
             figures.append(parity(merged, find_arm(name)))
         milliseconds = become_milliseconds(merged)
