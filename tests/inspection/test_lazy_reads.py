@@ -144,7 +144,8 @@ def test_an_experts_checkpoint_of_another_version(tmp_path, state):
     run = Run.create(tmp_path / "r", {})
     policy, value = new_learner(TASKS["061_foam_brick"], 0)
     run.save_checkpoint("expert", learner_tensors("expert", policy, value), state)
-    training = _Training(None, None, ExpertConfig(), policy, value, np.random.default_rng(0), False, lambda record: None, run)
+    task = TASKS["061_foam_brick"]
+    training = _Training(None, task, None, ExpertConfig(), policy, value, np.random.default_rng(0), False, lambda record: None, run)
     with pytest.raises(ToolkitError, match="another version|random generator"):
         training.restore()
     run.save_checkpoint("expert", {"x": np.zeros(2)}, state)

@@ -16,7 +16,8 @@ from toolkit.morphology.lab import Lab
 
 HANDS = {"two-finger": ("ff",), "three-finger": ("ff", "lf"), "four-finger": ("ff", "mf", "lf")}
 every_hand = pytest.mark.parametrize("name", HANDS)
-every_task = pytest.mark.parametrize("task", MODEL_TASKS.values(), ids=list(MODEL_TASKS))
+TASKS = {name: task for name, task in MODEL_TASKS.items() if task.family == FAMILY.name}
+every_task = pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
 
 
 def models(task, *names):
