@@ -10,7 +10,7 @@ A U of five cells of 3 m around a wall, whose last cell is open to the outside (
     <- out <-   |
     ------------+
 
-The way is 12.5 m, so that an episode of 10 s, as long as the paper's, asks for a mean speed of 1.25 m/s from rest: ants run twice as fast,
+The way is 12 m, so that an episode of 10 s, as long as the paper's, asks for a mean speed of 1.2 m/s from rest: ants run twice as fast,
 but heavier ones have to be able to leave it as well.
 """
 
@@ -33,8 +33,9 @@ WALLS: dict[str, tuple[float, float, float, float]] = {
     "middle": (-EAST, 0.0, -CELL / 2, CELL / 2),
 }
 """Least and greatest x, least and greatest y [m] of each wall."""
-START = (-CELL / 2, CELL)
-"""Centre of the first cell [m]."""
+START = (-1.0, CELL)
+"""In the first cell [m], half a metre before its centre: an ant's legs are straight at first, and the longest ones behind it clear of
+the wall."""
 
 
 class Way(ABC):

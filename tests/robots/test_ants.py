@@ -1,5 +1,6 @@
 """Ants: the source is gymnasium's own, the others are what their parameters say, and their trees are as short as can be."""
 
+import pickle
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -84,7 +85,7 @@ def volume_of_capsule(radius, half_length):
 @every_ant
 def test_a_robot_is_what_its_parameters_say(name):
     share, model = SHARES[name], compiled(name)
-    long, front, hind = 0.25 + 0.3 * share[TORSO], 0.08 + 0.04 * share[FRONT], 0.08 - 0.03 * share[HIND]
+    long, front, hind = 0.25 + 0.5 * share[TORSO], 0.08 + 0.08 * share[FRONT], 0.08 - 0.045 * share[HIND]
     volume = 4 / 3 * np.pi * long * 0.25**2
     for radius in (front, hind):
         for half_length in (np.hypot(0.1, 0.1), np.hypot(0.1, 0.1), np.hypot(0.2, 0.2)):
@@ -92,11 +93,11 @@ def test_a_robot_is_what_its_parameters_say(name):
     assert model.body_mass.sum() == pytest.approx(5.0 * volume, rel=1e-9)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    width = {1: 0.2 * share[SHOULDER], -1: 0.2 * share[HIP]}
+    width = {1: 0.25 * share[SHOULDER], -1: 0.25 * share[HIP]}
     for joint in ("hip_1", "hip_2", "hip_3", "hip_4"):
         at = data.xpos[model.jnt_bodyid[model.joint(joint).id]] - data.body("torso").xpos
         along, aside = np.sign(at[:2])
-        wanted = [along * (0.2 + 0.3 * share[TORSO]), aside * (0.2 + width[along]), 0.0]
+        wanted = [along * (0.2 + 0.5 * share[TORSO]), aside * (0.2 + width[along]), 0.0]
         np.testing.assert_allclose(at, wanted, atol=1e-12, err_msg=f"{name}: where {joint} turns")
 
 
@@ -130,6 +131,16 @@ def test_a_robot_stays_finite_under_any_torque(name):
         data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu)
         mujoco.mj_step(model, data, nstep=5)
     assert np.isfinite(data.qpos).all() and np.abs(data.qvel).max() < 100 and not data.warning.number.any()
+
+
+@every_ant
+def test_a_robot_can_be_handed_to_another_process(name):
+    """Evaluations play in processes of their own, to which a card goes as bytes."""
+    other = pickle.loads(pickle.dumps(MODEL_ROBOTS[name]))  # noqa: S301 - our own bytes
+    spec = gymnasium_ant()
+    other.change(spec)
+    np.testing.assert_array_equal(spec.compile().geom_size, compiled(name).geom_size)
+    assert other.family.element("torso", "size") == "ant"
 
 
 # -- their trees ---------------------------------------------------------------------------------------------
