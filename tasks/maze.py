@@ -34,7 +34,7 @@ WALLS: dict[str, tuple[float, float, float, float]] = {
 }
 """Least and greatest x, least and greatest y [m] of each wall."""
 START = (-1.0, CELL)
-"""In the first cell [m], half a metre before its centre: an ant's legs are straight at first, and the longest ones behind it clear of
+"""In the first cell [m], half a metre beyond its centre: an ant's legs are straight at first, and the longest ones behind it clear of
 the wall."""
 
 

@@ -12,7 +12,7 @@ from toolkit.expert.practice import PracticeConfig, _Learning, practise
 from toolkit.runs.run import Run
 
 ANT, TASK = MODEL_ROBOTS["ant"], CARDS["ant-maze"]
-SHORT = PracticeConfig(practice=2, updates=2)
+SHORT = PracticeConfig(practice=1, updates=3, check_every=1, checks=2)
 SHORT = replace(SHORT, first=replace(SHORT.first, batch_size=2), then=replace(SHORT.then, batch_size=2))
 
 
@@ -34,10 +34,10 @@ def whole(tmp_path_factory):
 
 def test_a_run_practises_and_then_does_the_task_itself(whole):
     events, _, card, kept = whole
-    assert [event["event"] for event in events] == ["practice"] * 2 + ["progress"] * 2
+    assert [event["event"] for event in events] == ["practice"] + ["progress"] * 3
     assert [event["event"] for event in kept] == [event["event"] for event in events]
     assert [event["update"] for event in events] == [1, 2, 3, 4]
-    assert card["practice"] == card["updates"] == 2 and card["policy_steps"] > sum(event["steps"] for event in events)
+    assert (card["practice"], card["updates"]) == (1, 3) and card["policy_steps"] > sum(event["steps"] for event in events)
     assert all(np.isfinite(event["kl"]) and event["kl"] > 0 for event in events)
 
 
@@ -75,6 +75,25 @@ def test_progress_is_the_reward_and_a_fall_costs():
     broken = replace(episode, diverged=True, terminated=True)
     assert learning.rewarded(task, broken) is broken
     learning.close()
+
+
+def test_the_best_that_was_measured_is_kept_and_ends_the_run_where_it_masters_the_task(monkeypatch):
+    found, learners = iter([0.25, 0.5, 0.25, 0.99]), []
+
+    def measured(self):
+        success = next(found)
+        learners.append(self.policy.parameters)
+        if success >= self.success:
+            self.best, self.success = (self.policy.copy(), self.value.copy()), success
+        return success
+
+    monkeypatch.setattr(_Learning, "check", measured)
+    policy, _, card = practise(ANT, TASK, replace(SHORT, practice=0))
+    np.testing.assert_array_equal(policy.parameters, learners[1])
+    assert card["updates"] == 3 and not np.array_equal(learners[1], learners[2])
+    found = iter([0.25, 0.99, 1.0])
+    policy, _, card = practise(ANT, TASK, replace(SHORT, practice=0))
+    assert card["updates"] == 2
 
 
 def test_an_impossible_number_is_refused():

@@ -15,10 +15,10 @@ from tasks.task import ModelTask, PractisedTask
 from toolkit.errors import ToolkitError
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
-from toolkit.learning.policy import GaussianPolicy, ValueFunction, learner_tensors, load_learner
+from toolkit.learning.policy import GaussianPolicy, MeanActor, ValueFunction, learner_tensors, load_learner
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
-from toolkit.runs.seeds import EXPERT_SEEDS, VISIT_SEEDS
+from toolkit.runs.seeds import CHECKING_SEEDS, EXPERT_SEEDS, VISIT_SEEDS
 from toolkit.simulation.rollout import NativeEngine
 
 
@@ -28,11 +28,17 @@ class PracticeConfig:
 
     practice: int = 400
     """Natural-gradient updates on the easier task."""
-    updates: int = 300
-    """Natural-gradient updates on the task, from starts all over the way."""
+    updates: int = 600
+    """Natural-gradient updates on the task at most, from starts all over the way."""
+    check_every: int = 25
+    """Updates on the task between two measurements of the mean action's success at it, as it is; the best measured is kept."""
+    checks: int = 100
+    """Episodes of such a measurement."""
+    mastered: float = 0.99
+    """Success in one at which there are no more updates."""
     effort: float = 0.001
     """What a step costs per squared action, in the task's unit of progress."""
-    fall: float = 1.0
+    fall: float = 3.0
     """What an episode costs that becomes hopeless, in the task's unit of progress."""
     init_log_std: float = -1.0
     """Log standard deviation of every action at first."""
@@ -42,13 +48,13 @@ class PracticeConfig:
         gamma=0.99, gae_lambda=0.95, step_size=0.1, batch_size=32, min_log_std=-1.8, value_epochs=3, value_minibatch=128))
     """The learner of the easier task; it looks no further ahead than some seconds, as progress is rewarded at once."""
     then: NpgConfig = field(default_factory=lambda: NpgConfig(
-        gamma=0.99, gae_lambda=0.95, step_size=0.05, batch_size=48, min_log_std=-2.3, value_epochs=3, value_minibatch=128))
+        gamma=0.99, gae_lambda=0.95, step_size=0.05, batch_size=64, min_log_std=-2.3, value_epochs=3, value_minibatch=128))
     """The learner of the task."""
 
     def __post_init__(self) -> None:
-        for name in ("practice", "updates", "seed"):
-            if getattr(self, name) < 0:
-                raise ToolkitError(f"PracticeConfig.{name} is {getattr(self, name)}; give 0 or more")
+        for name, least in (("practice", 0), ("updates", 0), ("check_every", 1), ("checks", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ToolkitError(f"PracticeConfig.{name} is {getattr(self, name)}; give {least} or more")
 
 
 def practise(
@@ -74,16 +80,19 @@ def practise(
     """
     learning = _Learning(robot, task, config, report, run, threads)
     learning.restore()
-    while learning.updates < config.practice + config.updates:
+    while learning.updates < config.practice + config.updates and learning.success < config.mastered:
         learning.update()
     learning.close()
-    return learning.policy, learning.value, {"policy_steps": learning.steps, "practice": config.practice, "updates": config.updates}
+    card = {"policy_steps": learning.steps, "practice": config.practice, "updates": learning.updates - config.practice}
+    return *learning.best, card
 
 
 class _Learning:
     """The state of the learning; every change of it ends in a checkpoint.
 
     Attributes:
+        policy, value: that learn.  best: those with the highest measured success.
+        success: that success; -1 before any was measured.
         updates: that were done, on both tasks.  steps: of the policy that were played.
     """
 
@@ -92,12 +101,13 @@ class _Learning:
         threads: int | None,
     ) -> None:
         self.config, self._report_to, self.run = config, report, run
-        self.stages = [(stage, NativeEngine(robot, stage, threads)) for stage in (task.practice(), task.scattered())]
+        self.stages = [(stage, NativeEngine(robot, stage, threads)) for stage in (task.practice(), task.scattered(), task)]
         self.rng = np.random.default_rng((config.seed, 7))
         observation, action = task.observation, task.action
         self.policy = GaussianPolicy(observation.names, action.names, self.rng, init_log_std=config.init_log_std)
         self.value = ValueFunction(observation.names, self.rng)
         self.scale = observation.numbers("scale")
+        self.best, self.success = (self.policy, self.value), -1.0
         self.updates = self.steps = self._records = 0
 
     def close(self) -> None:
@@ -136,9 +146,22 @@ class _Learning:
         statistics = npg_step(self.policy, self.value, batch, npg, self.rng)
         reward = sum(episode.total_reward for episode in batch) / sum(episode.steps for episode in batch)
         self.updates += 1
+        if done >= 0 and (done + 1) % config.check_every == 0:
+            statistics["checked"] = self.check()
         self._report({"event": "practice" if done < 0 else "progress", "update": self.updates, "of": config.practice + config.updates,
                       "reward_per_step": reward, **statistics})
         self.checkpoint()
+
+    def check(self) -> float:
+        """Success of the mean action at the task as it is; keeps the best."""
+        engine, count = self.stages[2][1], self.config.checks
+        seeds = range(CHECKING_SEEDS, CHECKING_SEEDS + count)
+        played = engine.play(MeanActor(self.policy), [np.zeros(1)] * count, seeds)
+        self.steps += sum(episode.steps for episode in played)
+        success = float(np.mean([episode.success for episode in played]))
+        if success >= self.success:
+            self.best, self.success = (self.policy.copy(), self.value.copy()), success
+        return success
 
     def _report(self, record: dict[str, Any]) -> None:
         if self.run is not None:
@@ -149,8 +172,10 @@ class _Learning:
     def checkpoint(self) -> None:
         """Everything that is needed to go on, in one atomic file."""
         if self.run is not None:
-            state = {"updates": self.updates, "steps": self.steps, "rng": generator_state(self.rng), "records": self._records}
-            self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
+            state = {"updates": self.updates, "steps": self.steps, "success": self.success, "rng": generator_state(self.rng),
+                     "records": self._records}
+            tensors = learner_tensors("expert", self.policy, self.value) | learner_tensors("best", *self.best)
+            self.run.save_checkpoint("expert", tensors, state)
 
     def restore(self) -> None:
         """Go on from the run's checkpoint, if it has one."""
@@ -166,5 +191,8 @@ class _Learning:
 
     def _take_up(self, tensors: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         load_learner(tensors, "expert", self.policy, self.value)
-        self.updates, self.steps, self._records = state["updates"], state["steps"], state["records"]
+        self.updates, self.steps, self.success, self._records = state["updates"], state["steps"], state["success"], state["records"]
+        if self.success >= 0.0:
+            self.best = self.policy.copy(), self.value.copy()
+            load_learner(tensors, "best", *self.best)
         self.rng.bit_generator.state = generator_from_state(state["rng"]).bit_generator.state
