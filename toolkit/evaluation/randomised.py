@@ -75,6 +75,7 @@ class RandomisedRobot:
     def __init__(self, robot: Plant, ranges: Ranges) -> None:
         self._robot, self._ranges = robot, dict(ranges)
         self.model, self.data, self.task, self.before, self.substeps = robot.model, robot.data, robot.task, robot.before, robot.substeps
+        self.law, self.object_body = robot.law, robot.object_body
         ends = dict(zip(robot.task.observation, itertools.accumulate(robot.task.observation.values()), strict=True))
         self._entry = {name: slice(ends[name] - size, ends[name]) for name, size in robot.task.observation.items()}
         self._nominal = {name: np.array(getattr(self.model, name)) for name in DISTURBED}
@@ -111,6 +112,20 @@ class RandomisedRobot:
     def torque_share(self) -> float:
         """See Drivable."""
         return self._robot.torque_share
+
+    @property
+    def grasp_position(self) -> np.ndarray:
+        """See Plant."""
+        return self._robot.grasp_position
+
+    @property
+    def object_position(self) -> np.ndarray:
+        """See Plant: where it is, not where it is seen."""
+        return self._robot.object_position
+
+    def aim(self, action: np.ndarray) -> np.ndarray:
+        """See Plant."""
+        return self._robot.aim(action)
 
     def begin(self, seed: int) -> np.ndarray:
         """Reset to the start of a seed, under the conditions that it draws; returns the observation (n_obs,)."""

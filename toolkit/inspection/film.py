@@ -10,8 +10,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from tasks.pick import PickTask
 from toolkit.simulation.laws import Drivable
-from toolkit.simulation.plant import CLOSING, Plant
+from toolkit.simulation.plant import CLOSING
 from toolkit.simulation.rollout import Actor, play
 
 
@@ -156,7 +157,7 @@ def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
     Args:
         plant, actor, seed, alpha: as the episode had them.
     """
-    pick = isinstance(plant, Plant)
+    pick = isinstance(plant.task, PickTask)
     watched = _WatchedPick(plant) if pick else _Watched(plant)
     episode = play(watched, actor, seed, alpha)
     notes = watched.notes
