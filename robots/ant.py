@@ -21,8 +21,9 @@ TORSO = 0.50
 """How much longer a torso's half length becomes [m], and with it how far out its legs are mounted; the source's is a ball of 0.25 m."""
 SHOULDER, HIP = 0.25, 0.25
 """How far out legs are mounted sideways [m]; the source's hang on the torso's centre."""
-FRONT, HIND = 0.08, -0.045
-"""Change of the legs' radius [m]; the source's is 0.08 m. Of changes half as great the source's policy bears most as it is."""
+FRONT, HIND = -0.045, 0.06
+"""Change of the legs' radius [m]; the source's is 0.08 m. Light in front and heavy behind, an ant has to run otherwise; the other way round
+the source's policy bears it as it is."""
 
 
 def _whole(body: str, quantity: str) -> str:

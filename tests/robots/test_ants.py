@@ -85,7 +85,7 @@ def volume_of_capsule(radius, half_length):
 @every_ant
 def test_a_robot_is_what_its_parameters_say(name):
     share, model = SHARES[name], compiled(name)
-    long, front, hind = 0.25 + 0.5 * share[TORSO], 0.08 + 0.08 * share[FRONT], 0.08 - 0.045 * share[HIND]
+    long, front, hind = 0.25 + 0.5 * share[TORSO], 0.08 - 0.045 * share[FRONT], 0.08 + 0.06 * share[HIND]
     volume = 4 / 3 * np.pi * long * 0.25**2
     for radius in (front, hind):
         for half_length in (np.hypot(0.1, 0.1), np.hypot(0.1, 0.1), np.hypot(0.2, 0.2)):
