@@ -8,7 +8,9 @@ import pytest
 from robots import MODEL_ROBOTS
 from tasks.ant_maze import CARDS
 from toolkit.errors import ToolkitError
+from toolkit.evaluation.success import evaluate_native
 from toolkit.expert.practice import PracticeConfig, _Learning, practise
+from toolkit.expert.shelf import load_expert
 from toolkit.runs.run import Run
 
 ANT, TASK = MODEL_ROBOTS["ant"], CARDS["ant-maze"]
@@ -94,6 +96,14 @@ def test_the_best_that_was_measured_is_kept_and_ends_the_run_where_it_masters_th
     found = iter([0.25, 0.99, 1.0])
     policy, _, card = practise(ANT, TASK, replace(SHORT, practice=0))
     assert card["updates"] == 2
+
+
+def test_the_shipped_expert_leaves_the_maze_in_gymnasiums_own_environment():
+    """On unseen starts; its card says 200 of 200."""
+    policy, _ = load_expert("ant", TASK)
+    found = evaluate_native(policy, ANT, TASK, 12, seed=7, processes=1)
+    assert found.successes >= 11 and found.diverged == 0, f"{found.successes} of 12"
+    assert policy.hidden == (32, 32)
 
 
 def test_an_impossible_number_is_refused():

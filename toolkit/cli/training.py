@@ -40,7 +40,7 @@ def expert(
 
     Demonstrations are scripted, or with --demos recordings of hands in DexYCB's format, retargeted to the robot's hand; for door,
     hammer and relocate --demos is a file of recorded steps. What was recorded also pulls the policy gradient (DAPG). The ant's expert
-    learns from nothing: to run, then to run through the maze (about an hour on two cores). Writes logs/<run>/: config, metrics,
+    learns from nothing: to run, then to run through the maze (some ten minutes on two free cores). Writes logs/<run>/: config, metrics,
     checkpoints, report. Ctrl-C leaves a run that --resume continues to the same result.
 
     Args:
@@ -100,9 +100,9 @@ def expert(
                 else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
                 for key, t in evaluated.items()
             }
-    shown: list[str | Path] = [] if demos is None else ["--demos", demos]
-    command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--demonstrations", demonstrations,
-                   "--seed", seed)
+    shown: list[str | Path | int] = [] if demos is None else ["--demos", demos]
+    shown += [] if practised else ["--demonstrations", demonstrations]
+    command = told("expert", "--source", source, "--task", task, *shown, "--updates", updates, "--seed", seed)
     card |= {"command": command} | {key: result.to_json() for key, result in results.items()}
     kept.write_json("report", card)
     lines = []
