@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 SECTIONS = {
     "Start": ("README.md", "docs/inspect.md"),
     "How to": ("docs/python.md", "docs/add-a-robot.md", "docs/extend.md", "docs/dexycb.md", "docs/demonstrations.md", "docs/deploy.md"),
-    "Explanation": ("docs/how-transfer-works.md", "docs/architecture.md"),
+    "Explanation": ("docs/how-transfer-works.md", "docs/ant-maze.md", "docs/architecture.md"),
     "Reference": ("docs/results.md", "CHANGELOG.md", "CONTRIBUTING.md"),
 }
 """What a reader wants of a page -> the pages (Diataxis); a page of docs/ that is not listed stands under "More"."""

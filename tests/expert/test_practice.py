@@ -7,6 +7,7 @@ import pytest
 
 from robots import MODEL_ROBOTS
 from tasks.ant_maze import CARDS
+from toolkit.cli.app import main
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import evaluate_native
 from toolkit.expert.practice import PracticeConfig, _Learning, practise
@@ -104,6 +105,14 @@ def test_the_shipped_expert_leaves_the_maze_in_gymnasiums_own_environment():
     found = evaluate_native(policy, ANT, TASK, 12, seed=7, processes=1)
     assert found.successes >= 11 and found.diverged == 0, f"{found.successes} of 12"
     assert policy.hidden == (32, 32)
+
+
+def test_demonstrations_are_refused_before_there_is_a_run_folder(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["expert", "--source", "ant", "--task", "ant-maze", "--demos", "steps.npz"])
+    assert ended.value.code == 2 and "learns from nothing; leave out --demos steps.npz" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 def test_an_impossible_number_is_refused():
