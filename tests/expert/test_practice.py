@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from robots import MODEL_ROBOTS
-from tasks.ant_maze import CARDS
+from tasks.ant_maze import CARDS, AntInMaze
 from toolkit.cli.app import main
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import evaluate_native
 from toolkit.expert.practice import PracticeConfig, _Learning, practise
 from toolkit.expert.shelf import load_expert
 from toolkit.runs.run import Run
+from toolkit.runs.seeds import EVALUATION_SEEDS
+from toolkit.simulation.rollout import NativeEngine
 
 ANT, TASK = MODEL_ROBOTS["ant"], CARDS["ant-maze"]
 SHORT = PracticeConfig(practice=1, updates=3, check_every=1, checks=2)
@@ -105,6 +107,19 @@ def test_the_shipped_expert_leaves_the_maze_in_gymnasiums_own_environment():
     found = evaluate_native(policy, ANT, TASK, 12, seed=7, processes=1)
     assert found.successes >= 11 and found.diverged == 0, f"{found.successes} of 12"
     assert policy.hidden == (32, 32)
+
+
+def test_who_lies_on_its_back_would_not_have_left_the_maze(monkeypatch):
+    """So that to end an episode there takes no success away: the expert under strong noise, played on where it has fallen."""
+    policy, _ = load_expert("ant", TASK)
+    policy.set_log_std(np.full(8, -0.5))
+    engine, seeds = NativeEngine(ANT, TASK), range(EVALUATION_SEEDS, EVALUATION_SEEDS + 12)
+    fallen = [e.seed for e in engine.play(policy.act, [np.zeros(1)] * len(seeds), seeds) if e.terminated and not e.success]
+    monkeypatch.setattr(AntInMaze, "on_its_back", lambda self: False)
+    played_on = engine.play(policy.act, [np.zeros(1)] * len(fallen), fallen)
+    engine.close()
+    assert len(fallen) >= 3 and not any(episode.success for episode in played_on)
+    assert np.mean([episode.steps for episode in played_on]) > 150, "they were not played on"
 
 
 def test_demonstrations_are_refused_before_there_is_a_run_folder(capsys, tmp_path, monkeypatch):
