@@ -1085,6 +1085,24 @@ def test_a_spent_budget_leaves_the_best_policy(tmp_path):
                for success, policy in measured)
 
 
+@pytest.mark.parametrize("anew, outcome", [(0.5, "training"), (0.75, "kept"), (1.0, "held")])
+def test_a_target_is_left_with_its_best_policy_only_if_other_starts_say_so(tmp_path, anew, outcome):
+    """The best of many measurements on the same starts is partly luck: what it does on others takes its place."""
+    settings = config(learner="search", patience=1, goal_episodes=8, goal=0.9)
+    toy = Toy()
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (seed % 8 >= 8 * anew), seed)
+    transfer = transfer_of(tmp_path / "run", settings, toy)
+    (branch,) = transfer.pending
+    transfer.training.keep_best(branch, 0.8)
+    outcomes = [transfer.training.keep_best(branch, 0.1) for _ in range(2)]
+    assert outcomes == ["training", "kept"], "both turns have brought no more"
+    assert transfer.training.measure_anew(branch, transfer.players.engine, SOURCE.alpha, 0.9, 8) == outcome
+    assert branch.best_success == anew
+    seeds = [seed for call in toy.of(training=False) for seed in call["seeds"]]
+    assert seeds == [2 * 10**6 + 2 * 8 + i for i in range(8)], "none of the starts by which it was chosen"
+    assert bool(records(transfer, "kept")) == (outcome == "kept")
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])
 def test_a_search_killed_in_a_rollout_and_resumed_is_the_same_run(tmp_path, searched, share):
     whole, toy, _, _ = searched

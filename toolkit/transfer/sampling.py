@@ -107,13 +107,14 @@ class Sampler:
 
     def success(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False,
-        hasty: bool = False, look: bool = False, floor: float | None = None,
+        hasty: bool = False, look: bool = False, floor: float | None = None, choice: int = 0,
     ) -> float:
         """Success rate of the policy on the robot ``alpha`` (D,), stopped once it is sure to be at least ``wanted``, or below ``floor``.
 
         Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` one also ends after its first episodes where these
         promise little; so does a ``look`` at a robot that nothing trains for: most of those fail, and what is missed is looked at again.
-        ``floor`` is ``wanted`` itself if not given; a lower one tells policies apart that are not there yet.
+        ``floor`` is ``wanted`` itself if not given; a lower one tells policies apart that are not there yet. Each ``choice`` of starts is
+        the same for every robot and shares none with another.
 
         Returns:
             the share of successes among the episodes played; at least ``wanted`` exactly if the policy has it.
@@ -124,7 +125,7 @@ class Sampler:
         actor = branch.policy.act if exploring else MeanActor(branch.policy)
         while played < episodes and successes < needed and successes + episodes - played >= least:
             size = min(LOOK, episodes - played)
-            seeds = [CHECKING_SEEDS + played + i for i in range(size)]
+            seeds = [CHECKING_SEEDS + choice * episodes + played + i for i in range(size)]
             batch = self.play(branch, player, actor, [alpha] * size, seeds, exploring, [branch.policy] * size)
             played += size
             successes += sum(episode.success for episode in batch)

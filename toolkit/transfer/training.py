@@ -2,6 +2,7 @@
 
     Training.train_to   one update towards a success on one robot, by whichever learner has its turn
     Training.keep_best  the search's turns: offsets, responses, the weights, and back to the best policy after each
+    Training.measure_anew  the best of a phase on starts by which it was not chosen
 """
 
 from typing import Literal
@@ -17,8 +18,9 @@ from toolkit.transfer.settings import TransferConfig
 NUMBED = 1 / 2
 """Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
 
-Outcome = Literal["held", "spent", "training", "stalled"]
-"""Of an update: the policy has the success asked for; the path's budget is spent; neither yet; a nearer robot should be tried."""
+Outcome = Literal["held", "spent", "kept", "training", "stalled"]
+"""Of an update: the policy has the success asked for; the path's budget is spent; nothing brought more and the best would do; neither
+yet; a nearer robot should be tried."""
 
 
 class Training:
@@ -56,6 +58,8 @@ class Training:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
             else:
                 outcome = self.keep_best(branch, success)
+                if outcome == "kept":
+                    return self.measure_anew(branch, player, alpha, wanted, episodes)
                 if outcome != "training":
                     return outcome
         if branch.ledger.cost.sim_epochs >= self.config.path_budget:
@@ -91,10 +95,21 @@ class Training:
         if on_the_way and (over or (self._nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
         branch.begin_turn(turns[branch.turns % len(turns)])
-        if over and not on_the_way and branch.best_success >= self.config.threshold:
-            self.sampler.say(Kept(success=branch.best_success), branch)
-            return "spent"
-        return "training"
+        return "kept" if over and not on_the_way and branch.best_success >= self.config.threshold else "training"
+
+    def measure_anew(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> Outcome:
+        """Whether the best policy of a target's phase is left with, by ``episodes`` starts on which nothing was chosen.
+
+        The best of many measurements on the same starts is partly luck, the more the longer a phase lasts; the new measurement takes its
+        place, and a policy that was lucky is trained on.
+        """
+        branch.best_success = self.sampler.success(branch, player, alpha, wanted, episodes, floor=0.0, choice=branch.turns)
+        if branch.best_success >= wanted:
+            return "held"
+        if branch.best_success < self.config.threshold:
+            return "training"
+        self.sampler.say(Kept(success=branch.best_success), branch)
+        return "kept"
 
     def _nearer(self, branch: Branch) -> bool:
         """Whether the search has a nearer robot to train for."""
