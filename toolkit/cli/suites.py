@@ -28,13 +28,14 @@ class Entry:
     expert: str | None = None
     exploration: float | None = None
     learner: Literal["search", "npg"] | None = None
+    enough: float | None = None
 
     def job(self, preset: str) -> "Job":
         """What `meta-evolve transfer` would play."""
         from toolkit.transfer.pipeline import Job, transfer_config
 
         overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
-                     "learner": self.learner, "exploration": self.exploration}
+                     "learner": self.learner, "exploration": self.exploration, "enough": self.enough}
         config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)
         return Job(find_robot(self.source), robots, find_task(self.task), config, self.episodes, self.expert)
@@ -140,7 +141,7 @@ HAND_SUITE: dict[str, Entry] = {
 """As REAL_ROBOTS, of the Hand Manipulation Suite."""
 
 SIX_ANTS = tuple(f"ant-{count}" for count in range(1, 7))
-ANT = Entry(source="ant", task="ant-maze", targets=SIX_ANTS, episodes=200, learner="search")
+ANT = Entry(source="ant", task="ant-maze", targets=SIX_ANTS, episodes=200, learner="search", enough=0.9)
 ANT_SUITE: dict[str, Entry] = {
     **{f"tree-{seed}": replace(ANT, seed=seed) for seed in range(3)},
     **{f"independent-{seed}": replace(ANT, seed=seed, kind="independent") for seed in range(3)},

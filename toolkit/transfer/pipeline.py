@@ -51,8 +51,6 @@ PRESETS: dict[str, dict[str, Any]] = {
 """Preset name -> overrides of TransferConfig and NpgConfig, episodes of the final evaluation, and targets other than the usual three."""
 AUDITED = 5
 """Robots per edge that are measured before a transfer begins."""
-ENOUGH = 0.8
-"""Success on a target from which on a policy has learned it (the paper's 80 %)."""
 
 
 @dataclass(frozen=True)
@@ -385,6 +383,7 @@ class Pipeline:
             "metric": self.job.transfer.metric,
             "step": self.job.transfer.step,
             "learner": self.job.transfer.learner,
+            "enough": self.job.transfer.enough,
             "path": self.job.transfer.path,
             "source": self.job.source.name,
             "task": self.job.task.name,
@@ -401,9 +400,9 @@ def _rate(evaluation: dict[str, Any]) -> str:
     return f"{evaluation['successes']} of {evaluation['episodes']}"
 
 
-def _needed(untrained: dict[str, Any]) -> list[str]:
+def _needed(untrained: dict[str, Any], enough: float) -> list[str]:
     """A sentence per outcome: where the expert does without evolution, and where it does not."""
-    without = [name for name, found in untrained.items() if found["success_rate"] >= ENOUGH]
+    without = [name for name, found in untrained.items() if found["success_rate"] >= enough]
     needed = [name for name in untrained if name not in without]
     return [f"Evolution {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
             for verb, names in (("was", needed), ("was not", without)) if names]
@@ -419,7 +418,7 @@ def summary(report: dict[str, Any], tree: EvolutionTree) -> str:
         low, high = both["native"]["ci95"]
         cells = (markdown(name), _rate(report["untrained"][name]), _rate(both["native"]), f"{low:.2f} to {high:.2f}", _rate(both["merged"]))
         lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", *_needed(report["untrained"])]
+    lines += ["", *_needed(report["untrained"], report["enough"])]
     for name, found in report.get("randomised", {}).items():
         under = ", ".join(f"{condition} {low:g} to {high:g}" for condition, (low, high) in found["conditions"].items())
         rates = f"{_rate(found['untrained'])} untrained, {_rate(found['trained'])} trained"

@@ -65,7 +65,9 @@ class TransferConfig:
     least_noise: float = 1 / 4
     """NPG, adaptive: share of its first standard deviation below which the noise is not calmed."""
     goal: float = 0.85
-    """Success rate at which a target counts as learned; a little above the 80 % of the paper, which is judged apart."""
+    """Success rate at which training on a target ends; a little above the paper's, which is judged apart."""
+    enough: float = 0.8
+    """Search: success rate with which a target is left if no turn brings more (the paper's 80 %; 90 % of ants)."""
     shrink: float = 0.995
     """NPG: factor by which the sampling window closes in on the next robot, per update (paper)."""
     check_episodes: int = 24
@@ -87,8 +89,8 @@ class TransferConfig:
     """The search of an offset."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("shrink", 0, 1),
-                                ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):
+        for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("enough", 0, 1),
+                                ("shrink", 0, 1), ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")

@@ -18,9 +18,9 @@ from toolkit.transfer.settings import TransferConfig
 NUMBED = 1 / 2
 """Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
 
-Outcome = Literal["held", "spent", "kept", "training", "stalled"]
-"""Of an update: the policy has the success asked for; the path's budget is spent; nothing brought more and the best would do; neither
-yet; a nearer robot should be tried."""
+Outcome = Literal["held", "kept", "spent", "training", "over", "stalled"]
+"""Of an update: the policy has the success asked for; nothing brings more and it is enough; the path's budget is spent; none yet, nor
+when all turns on a target are over; a nearer robot should be tried."""
 
 
 class Training:
@@ -58,8 +58,8 @@ class Training:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
             else:
                 outcome = self.keep_best(branch, success)
-                if outcome == "kept":
-                    return self.measure_anew(branch, player, alpha, wanted, episodes)
+                if outcome == "over":
+                    outcome = self.measure_anew(branch, player, alpha, wanted, episodes)
                 if outcome != "training":
                     return outcome
         if branch.ledger.cost.sim_epochs >= self.config.path_budget:
@@ -80,7 +80,7 @@ class Training:
         """Of the search: remember the policy if it is the phase's best; return to it and end a turn that brought no better one for long.
 
         Offsets come first, then responses and the weights, if the best succeeds often enough to learn from. On the way another robot is
-        tried after that; a target where nothing brought more is left with the best, if that would do on the way.
+        tried after that; a target is measured anew.
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
@@ -95,21 +95,24 @@ class Training:
         if on_the_way and (over or (self._nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
         branch.begin_turn(turns[branch.turns % len(turns)])
-        return "kept" if over and not on_the_way and branch.best_success >= self.config.threshold else "training"
+        return "over" if over and not on_the_way else "training"
 
     def measure_anew(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> Outcome:
-        """Whether the best policy of a target's phase is left with, by ``episodes`` starts on which nothing was chosen.
+        """After all turns on a target: what its best policy does on ``episodes`` starts by which it was not chosen, and who learns next.
 
-        The best of many measurements on the same starts is partly luck, the more the longer a phase lasts; the new measurement takes its
-        place, and a policy that was lucky is trained on.
+        The best of many measurements on the same starts is partly luck, the more the longer a phase lasts; the new one takes its place. If
+        it is enough, the target is left with it. If not, the weights go on for as long as the budget lasts, where there is enough to learn
+        from; else the turns begin again.
         """
         branch.best_success = self.sampler.success(branch, player, alpha, wanted, episodes, floor=0.0, choice=branch.turns)
         if branch.best_success >= wanted:
             return "held"
-        if branch.best_success < self.config.threshold:
-            return "training"
-        self.sampler.say(Kept(success=branch.best_success), branch)
-        return "kept"
+        if branch.best_success >= self.config.enough:
+            self.sampler.say(Kept(success=branch.best_success), branch)
+            return "kept"
+        if branch.best_success >= self.config.noisy_threshold:
+            branch.begin_turn("weights")
+        return "training"
 
     def _nearer(self, branch: Branch) -> bool:
         """Whether the search has a nearer robot to train for."""
