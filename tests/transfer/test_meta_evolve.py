@@ -601,10 +601,15 @@ def test_seeds_of_training_checking_and_evaluation_never_meet(finished):
 
 
 def test_every_robot_is_checked_on_the_same_seeds(finished):
+    """All but what was trained to the goal of a target, which has to show it on others."""
     _, toy = finished
-    batches = {tuple(call["seeds"]) for call in toy.of(training=False)}
-    assert batches == {tuple(range(CHECKING_SEEDS, CHECKING_SEEDS + 8)), tuple(range(CHECKING_SEEDS + 8, CHECKING_SEEDS + 12))}
-    assert all(len(np.unique(call["alphas"], axis=0)) == 1 for call in toy.of(training=False))
+    first = {tuple(range(CHECKING_SEEDS, CHECKING_SEEDS + 8)), tuple(range(CHECKING_SEEDS + 8, CHECKING_SEEDS + 12))}
+    batches = toy.of(training=False)
+    assert first <= {tuple(call["seeds"]) for call in batches}
+    assert all(len(np.unique(call["alphas"], axis=0)) == 1 for call in batches)
+    anew = [call for call in batches if tuple(call["seeds"]) not in first]
+    assert all(min(call["seeds"]) >= CHECKING_SEEDS + 12 for call in anew)
+    assert all(any(np.allclose(alpha, target.alpha) for target in TARGETS) for call in anew for alpha in call["alphas"])
 
 
 def test_training_robots_lie_on_the_segment_within_the_window(finished):
@@ -1086,7 +1091,7 @@ def test_a_spent_budget_leaves_the_best_policy(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "anew, outcome, turn", [(0.25, "training", "offset"), (0.5, "training", "weights"), (0.875, "kept", None), (1.0, "held", None)]
+    "anew, outcome, turn", [(0.25, "training", "offset"), (0.5, "training", "weights"), (0.875, "kept", None), (1.0, "kept", None)]
 )
 def test_a_target_is_left_with_its_best_policy_only_if_other_starts_say_so(tmp_path, anew, outcome, turn):
     """The best of many measurements on the same starts is partly luck: what it does on others takes its place."""
@@ -1098,11 +1103,27 @@ def test_a_target_is_left_with_its_best_policy_only_if_other_starts_say_so(tmp_p
     transfer.training.keep_best(branch, 0.85)
     outcomes = [transfer.training.keep_best(branch, 0.1) for _ in range(2)]
     assert outcomes == ["training", "over"], "both turns have brought no more"
-    assert transfer.training.measure_anew(branch, transfer.players.engine, SOURCE.alpha, 0.9, 8) == outcome
-    assert branch.best_success == anew and turn in (None, branch.turn)
+    branch.updates = 5
+    success = transfer.training.measure_anew(branch, transfer.players.engine, SOURCE.alpha, 0.9, 8)
+    assert transfer.training.leave(branch, success) == outcome
+    assert success == branch.best_success == anew and turn in (None, branch.turn)
     seeds = [seed for call in toy.of(training=False) for seed in call["seeds"]]
-    assert seeds == [2 * 10**6 + 2 * 8 + i for i in range(8)], "none of the starts by which it was chosen"
+    assert seeds == [2 * 10**6 + 5 * 8 + i for i in range(8)], "none of the starts by which it was chosen"
     assert bool(records(transfer, "kept")) == (outcome == "kept")
+
+
+@pytest.mark.parametrize("learner", ["npg", "search"])
+@pytest.mark.parametrize("lucky", [False, True])
+def test_a_policy_trained_to_the_goal_has_to_show_it_on_other_starts(tmp_path, learner, lucky):
+    """One that succeeds on the starts of the schedule's checks alone is trained on until the budget is spent."""
+    first = set(range(2 * 10**6, 2 * 10**6 + 8))
+    toy = Toy()
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (lucky and 2 * 10**6 <= seed < 3 * 10**6 and seed not in first), seed)
+    settings = config(learner=learner, kind="direct", path_budget=400, goal_episodes=8)
+    transfer = transfer_of(tmp_path / "run", settings, toy, targets=[Terminal("near", np.array([0.2, 0.1, 0.0]))])
+    transfer.meta_evolve()
+    assert bool(records(transfer, "budget")) == lucky
+    assert any(r["success"] >= settings.goal for r in records(transfer, "check")), "the checks alone would have been believed"
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])

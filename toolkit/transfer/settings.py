@@ -67,7 +67,8 @@ class TransferConfig:
     goal: float = 0.85
     """Success rate at which training on a target ends; a little above the paper's, which is judged apart."""
     enough: float = 0.8
-    """Search: success rate with which a target is left if no turn brings more (the paper's 80 %; 90 % of ants)."""
+    """Success rate that a policy trained to the goal has to show on starts by which it was not chosen; search: with which a target is left
+    if no turn brings more (the paper's 80 %; 90 % of ants)."""
     shrink: float = 0.995
     """NPG: factor by which the sampling window closes in on the next robot, per update (paper)."""
     check_episodes: int = 24

@@ -2,7 +2,8 @@
 
     Training.train_to   one update towards a success on one robot, by whichever learner has its turn
     Training.keep_best  the search's turns: offsets, responses, the weights, and back to the best policy after each
-    Training.measure_anew  the best of a phase on starts by which it was not chosen
+    Training.measure_anew  what was chosen by its success on starts by which it was not chosen
+    Training.leave      a target where all turns are over, or not yet
 """
 
 from typing import Literal
@@ -41,7 +42,8 @@ class Training:
     ) -> Outcome:
         """One update towards ``wanted`` success of the mean action on the robot ``alpha`` (D,), and that which ``exploring`` needs.
 
-        Success is measured before the first update, after every one of the search and after every check_every-th of NPG.
+        Success is measured before the first update, after every one of the search and after every check_every-th of NPG; a policy that
+        was trained until it reached what is wanted of a target has to show enough of it anew.
         """
         searching = self.search is not None and branch.turn != "weights"
         success = 0.0
@@ -49,17 +51,19 @@ class Training:
             hasty = self.search is not None and branch.next_alpha is not None
             floor = None if self.search is None or hasty else self.config.threshold  # at a target the better one is to be found
             success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty, floor=floor)
+            held = success >= wanted
+            if held and branch.next_alpha is None and branch.updates > 0:
+                success = self.measure_anew(branch, player, alpha, wanted, episodes)
+                held = success >= self.config.enough
             enough = self.config.noisy_threshold
-            if success >= wanted and (
-                not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough
-            ):
+            if held and (not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough):
                 return "held"
             if self.search is None:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
             else:
                 outcome = self.keep_best(branch, success)
                 if outcome == "over":
-                    outcome = self.measure_anew(branch, player, alpha, wanted, episodes)
+                    outcome = self.leave(branch, self.measure_anew(branch, player, alpha, wanted, episodes))
                 if outcome != "training":
                     return outcome
         if branch.ledger.cost.sim_epochs >= self.config.path_budget:
@@ -97,20 +101,24 @@ class Training:
         branch.begin_turn(turns[branch.turns % len(turns)])
         return "over" if over and not on_the_way else "training"
 
-    def measure_anew(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> Outcome:
-        """After all turns on a target: what its best policy does on ``episodes`` starts by which it was not chosen, and who learns next.
+    def measure_anew(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> float:
+        """Success of the policy on a target, on ``episodes`` starts of their own.
 
-        The best of many measurements on the same starts is partly luck, the more the longer a phase lasts; the new one takes its place. If
-        it is enough, the target is left with it. If not, the weights go on for as long as the budget lasts, where there is enough to learn
-        from; else the turns begin again.
+        The best of many measurements on the same starts is partly luck, the more of them the more.
         """
-        branch.best_success = self.sampler.success(branch, player, alpha, wanted, episodes, floor=0.0, choice=branch.turns)
-        if branch.best_success >= wanted:
-            return "held"
-        if branch.best_success >= self.config.enough:
-            self.sampler.say(Kept(success=branch.best_success), branch)
+        return self.sampler.success(branch, player, alpha, wanted, episodes, floor=0.0, choice=branch.updates)
+
+    def leave(self, branch: Branch, success: float) -> Outcome:
+        """After all turns on a target, where its best policy was measured anew to have that ``success``.
+
+        If that is enough, the target is left with it. If not, the weights go on for as long as the budget lasts, where there is enough to
+        learn from; else the turns begin again.
+        """
+        branch.best_success = success
+        if success >= self.config.enough:
+            self.sampler.say(Kept(success=success), branch)
             return "kept"
-        if branch.best_success >= self.config.noisy_threshold:
+        if success >= self.config.noisy_threshold:
             branch.begin_turn("weights")
         return "training"
 
