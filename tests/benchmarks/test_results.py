@@ -13,22 +13,22 @@ from toolkit.errors import ToolkitError
 from toolkit.runs.run import Run
 
 
-def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_foam_brick"):
-    """A run folder as a transfer leaves it, with two paths to the targets left and right."""
-    run = Run.create(folder / name, {"targets": ["left", "right"], "transfer": {"threshold": 0.66, "xi": 0.03}})
+def finished(folder, name, seed, epochs, successes, kind="steiner", task="061_foam_brick", targets=("left", "right")):
+    """A run folder as a transfer leaves it, with a path to each target."""
+    run = Run.create(folder / name, {"targets": list(targets), "transfer": {"threshold": 0.66, "xi": 0.03}})
     evaluation = {"episodes": 200, "successes": successes, "success_rate": successes / 200, "ci95": [0.5, 0.97], "seed": 10**9}
-    paths = {"path 1": epochs, "path 2": 7}
+    paths = {f"path {number}": epochs if number == 1 else 7 for number in range(1, len(targets) + 1)}
     for path in paths:
         run.append_metrics({"event": "check", "path": path, "stage": "evolve", "success": 0.75, "train_iterations": 3, "sim_epochs": 12,
                             "check_episodes": 16, "diverged": 0})
-    nodes = [{"name": n, "kind": "target" if n != "hand" else "source", "alpha": [0.5]} for n in ("hand", "left", "right")]
-    edges = [{"from": "hand", "to": n, "length": 1.5} for n in ("left", "right")]
+    nodes = [{"name": n, "kind": "target" if n != "hand" else "source", "alpha": [0.5]} for n in ("hand", *targets)]
+    edges = [{"from": "hand", "to": n, "length": 1.5} for n in targets]
     run.write_json("tree", {"metric": "l1", "kind": kind, "length": 3.0, "nodes": nodes, "edges": edges})
     run.write_json("report", {
-        "targets": {t: {"native": evaluation, "merged": evaluation | {"successes": 199}} for t in ("left", "right")},
+        "targets": {t: {"native": evaluation, "merged": evaluation | {"successes": 199}} for t in targets},
         "train_iterations": {path: 3 for path in paths}, "sim_epochs": paths, "check_episodes": {path: 16 for path in paths},
-        "routes": {"path 1": ["hand", "left"], "path 2": ["hand", "right"]},
-        "totals": {"train_iterations": 6, "sim_epochs": epochs + 7, "check_episodes": 32, "diverged": 0},
+        "routes": {path: ["hand", target] for path, target in zip(paths, targets, strict=True)},
+        "totals": {"train_iterations": 3 * len(paths), "sim_epochs": sum(paths.values()), "check_episodes": 16 * len(paths), "diverged": 0},
         "wall_s": 100.0,
         "time": {"wall_s": 90.0}, "seed": seed, "kind": kind, "metric": "l1", "step": "adaptive", "path": "straight", "task": task,
     })
@@ -64,6 +64,33 @@ def test_a_tree_is_compared_with_the_independent_paths_to_its_own_targets(tmp_pa
     text = write_results(suite, "A suite", "make results").read_text()
     assert f"| tree-0 | left, right | 6 | 6 | 1.00 | 1007 | {2008 + 7} | {2015 / 1007:.2f} |" in text
     assert "| other-task | left, right | 6 |" not in text  # nobody went there alone
+
+
+def test_the_cost_grows_with_the_targets_that_trees_share(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    names = ("left", "right", "up")
+    finished(suite, "alone-0", 0, 500, 190, kind="independent", targets=names)
+    finished(suite, "alone-1", 1, 600, 190, kind="independent", targets=names)
+    for count, epochs in ((1, 550), (2, 493), (3, 386)):
+        finished(suite, f"tree-{count}", 0, epochs, 190, targets=names[:count])
+    finished(suite, "elsewhere", 0, 9, 190, targets=("up", "left"))  # not the first ones of the longest set
+    text = write_results(suite, "A suite", "make results").read_text()
+    method = "| tree, L1, adaptive step | 061_foam_brick"
+    assert f"{method} | 1, to left | 550 | 550 | 1.00 |" in text
+    assert f"{method} | 2, to right | 500 | 557 | 1.11 |" in text
+    assert f"{method} | 3, to up | 400 | 564 | 1.41 |" in text
+    assert (suite / "growth.png").read_bytes().startswith(b"\x89PNG") and "(suite/growth.png)" in text
+    assert "to left | 9 |" not in text
+
+
+def test_two_sets_of_targets_are_no_growth(tmp_path):
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    finished(suite, "alone-0", 0, 500, 190, kind="independent")
+    finished(suite, "tree-1", 0, 550, 190, targets=("left",))
+    finished(suite, "tree-2", 0, 493, 190)
+    assert "Growth" not in write_results(suite, "A suite", "make results").read_text() and not (suite / "growth.png").exists()
 
 
 def test_json_says_what_the_page_says(tmp_path):

@@ -1,7 +1,7 @@
 """Results: tables and pictures of a suite of transfer runs, from their run folders alone.
 
     read_result     one run folder -> Result
-    write_results   all runs of a suite -> one Markdown page and its pictures
+    write_results   all runs of a suite -> one Markdown page and its pictures; growth where trees went to more and more of the same targets
     results_json    the same figures as JSON values
 
 No number is typed: all come from report.json, tree.json and metrics.jsonl, but for the paper's own, which are cited.
@@ -146,6 +146,9 @@ def write_results(folder: Path, title: str, command: str, paper: Sequence[PaperR
     plot_success(runs, folder / "success.png")
     plot_curves(runs, folder / "curves.png")
     plot_cost(runs, folder / "cost.png")
+    chains = growth(runs)
+    if chains:
+        plot_growth(chains, folder / "growth.png")
     page = folder.with_suffix(".md")
     lines = [
         f"# {title}", "",
@@ -160,6 +163,9 @@ def write_results(folder: Path, title: str, command: str, paper: Sequence[PaperR
         "## Shared against alone", "", *sharing_table(runs), "",
         "A tree beside the sum of independent paths to the same targets, by the same expert and with the same steps, all paths found "
         "in the runs above; means over their seeds. The paper's own ratio is of means over five.", "",
+        *(["## Growth", "", *growth_table(chains), "", f"![Cost against the number of targets]({folder.name}/growth.png)", "",
+           "Trees to more and more of the same targets beside the sum of independent paths to them; means over their seeds.", ""]
+          if chains else []),
         "## Per path", "", *path_table(runs), "",
         "## On the way", "", f"![Success measured on the way]({folder.name}/curves.png)", "",
         "Each point is one measurement of the mean action's success on the next robot of the path; a point below the line means that "
@@ -264,6 +270,63 @@ def _alone(run: Result, runs: Sequence[Result], key: str) -> float | None:
     return float(sum(np.mean(costs) for costs in found)) if all(found) else None
 
 
+@dataclass(frozen=True)
+class Growth:
+    """What trees of one method cost to more and more targets, each set the one before and the next target.
+
+    Attributes:
+        method, task: see Result.
+        targets: in the order in which they join.
+        counts: numbers of targets, ascending.
+        shared, alone: simulation epochs to the first ``counts`` targets, by the tree and by independent paths; means over seeds.
+    """
+
+    method: str
+    task: str
+    targets: tuple[str, ...]
+    counts: tuple[int, ...]
+    shared: tuple[float, ...]
+    alone: tuple[float, ...]
+
+
+SIZES = 3
+"""Fewest sets of targets in which a growth can be seen."""
+
+
+def growth(runs: Sequence[Result]) -> list[Growth]:
+    """Every chain of at least ``SIZES`` nested sets of targets that trees of one method have gone to, independent paths to all of which are
+    known; to a single target a tree is the independent path."""
+    chains = []
+    sets: dict[tuple[str, str], dict[tuple[str, ...], list[Result]]] = {}
+    for run in runs:
+        if run.shares:
+            sets.setdefault((run.method, run.task), {}).setdefault(tuple(run.config["targets"]), []).append(run)
+    for (method, task), groups in sets.items():
+        longest = max(groups, key=len)
+        nested = sorted((targets for targets in groups if targets == longest[: len(targets)]), key=len)
+        counts, shared, alone = [], [], []
+        for targets in nested:
+            independent = _alone(groups[targets][0], runs, "sim_epochs")
+            if independent is not None:
+                counts.append(len(targets))
+                shared.append(float(np.mean([run.report["totals"]["sim_epochs"] for run in groups[targets]])))
+                alone.append(independent)
+        if len(counts) >= SIZES:
+            chains.append(Growth(method, task, longest, tuple(counts), tuple(shared), tuple(alone)))
+    return chains
+
+
+def growth_table(chains: Sequence[Growth]) -> list[str]:
+    """Markdown rows: simulation epochs to the first N targets, by a tree and by independent paths, and their ratio."""
+    lines = ["| method | task | targets | simulation epochs | independent | ratio |", "|---|---|---|---|---|---|"]
+    for chain in chains:
+        for count, shared, alone in zip(chain.counts, chain.shared, chain.alone, strict=True):
+            ratio = f"{alone / shared:.2f}" if shared else "-"
+            lines.append(f"| {markdown(chain.method)} | {markdown(chain.task)} | {count}, to {markdown(chain.targets[count - 1])} "
+                         f"| {shared:.0f} | {alone:.0f} | {ratio} |")
+    return lines
+
+
 def path_table(runs: Sequence[Result]) -> list[str]:
     """Markdown rows: cost of every path of every run."""
     lines = ["| run | path | training iterations | simulation epochs | checking episodes |", "|---|---|---|---|---|"]
@@ -342,6 +405,19 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
                 left += count
         panel.set(xlabel=f"{label}, by path", ylim=(len(runs) - 0.4, -0.6), yticks=range(len(runs)),
                   yticklabels=[run.name for run in runs])
+    _save(figure, file)
+
+
+@letters
+def plot_growth(chains: Sequence[Growth], file: Path) -> None:
+    """Simulation epochs against the number of targets, a panel per chain: the tree, and independent paths."""
+    figure = Figure(figsize=(4.2 * len(chains), 3.0), layout="constrained")
+    for panel, chain in zip(figure.subplots(1, len(chains), squeeze=False)[0], chains, strict=True):
+        panel.plot(chain.counts, chain.alone, marker="s", color="#d55e00", label="independent paths")
+        panel.plot(chain.counts, chain.shared, marker="o", color="#0072b2", label=chain.method)
+        panel.set_title(chain.task, fontsize=9)
+        panel.set(xlabel="targets", ylabel="simulation epochs", xticks=chain.counts, ylim=(0, None))
+        panel.legend(fontsize=8)
     _save(figure, file)
 
 
