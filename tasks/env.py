@@ -90,7 +90,7 @@ class Pick(ManipulationEnv):
         self.robots[0].part_controllers["right"].update(force=True)
         pose, self.goal = self.task.sample_start(self._start_rng)
         self.sim.data.set_joint_qpos(self.item.joints[0], pose)
-        self._held, self.succeeded, self.lost = 0, False, False
+        self._judge, self.lost = self.task.judge(), False
 
     @property
     def object_position(self) -> np.ndarray:
@@ -106,9 +106,12 @@ class Pick(ManipulationEnv):
         """1 once the object has stayed at the goal for the task's hold_steps, else 0."""
         position = self.object_position
         self.lost = self.lost or is_lost(position)
-        self._held = self._held + 1 if at_goal(position, self.goal, self.task.goal_tolerance) else 0
-        self.succeeded = self._held >= self.task.hold_steps
-        return float(self.succeeded)
+        return float(self._judge.tell(at_goal(position, self.goal, self.task.goal_tolerance)))
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the object has been held at the goal for long enough."""
+        return self._judge.succeeded
 
     def _check_success(self) -> bool:
         return self.succeeded

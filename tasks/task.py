@@ -18,6 +18,31 @@ if TYPE_CHECKING:
     from robots.model_robot import ModelRobot
 
 
+class Judge:
+    """Counts the steps at the goal: the one judge of an episode, whoever plays it.
+
+    Args:
+        hold_steps, consecutive: of the task.
+
+    Attributes:
+        held: steps at the goal that count so far.
+    """
+
+    def __init__(self, hold_steps: int, consecutive: bool = True) -> None:
+        self._needed, self._consecutive = hold_steps, consecutive
+        self.held = 0
+
+    def tell(self, at_goal: bool) -> bool:
+        """One more policy step was played, and ended at the goal or not; whether the task has succeeded."""
+        self.held = self.held + 1 if at_goal else 0 if self._consecutive else self.held
+        return self.succeeded
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the steps told so far are a success."""
+        return self.held >= self._needed
+
+
 class Task(ABC):
     """A task: what is observed and done, for how long, and what counts as success.
 
@@ -44,25 +69,9 @@ class Task(ABC):
         """How far from success an episode ended that did not succeed, by its last observation (n_obs,); 0 where a task cannot tell."""
         return 0.0
 
-
-class Judge:
-    """Counts the steps at the goal: the one judge of an episode, whoever plays it.
-
-    Args:
-        task: whose ``hold_steps`` and ``consecutive`` decide.
-
-    Attributes:
-        held: steps at the goal that count so far.
-    """
-
-    def __init__(self, task: Task) -> None:
-        self._needed, self._consecutive = task.hold_steps, task.consecutive
-        self.held = 0
-
-    def tell(self, at_goal: bool) -> bool:
-        """One more policy step was played, and ended at the goal or not; whether the task has succeeded."""
-        self.held = self.held + 1 if at_goal else 0 if self._consecutive else self.held
-        return self.held >= self._needed
+    def judge(self) -> Judge:
+        """A judge for one episode."""
+        return Judge(self.hold_steps, self.consecutive)
 
 
 class Scene(Protocol):

@@ -236,15 +236,15 @@ def test_steps_at_the_goal_count_as_the_manifest_says(exported, task):
     rng, outcomes = np.random.default_rng(0), []
     for _ in range(500):
         course = rng.choice([0.0, tolerance, 1.1 * tolerance], 40, p=[0.86, 0.07, 0.07])
-        shown = SimpleNamespace(task=task, goal=np.zeros(3), _held=0, succeeded=False, lost=False)
+        shown = SimpleNamespace(task=task, goal=np.zeros(3), _judge=task.judge(), lost=False)
         count, done = 0, False
         for distance in course:
             shown.object_position = np.array([0, 0, distance])
-            Pick.reward(shown)
+            reward = Pick.reward(shown)
             near = distance < tolerance if says["strict"] else distance <= tolerance
             count = count + 1 if near else 0 if says["consecutive"] else count
             done = count >= needed
-            assert done == shown.succeeded
+            assert done == bool(reward)
         outcomes.append(done)
     assert 0.05 < np.mean(outcomes) < 0.95, "both must occur"
 

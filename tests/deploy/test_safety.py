@@ -120,6 +120,28 @@ def test_a_fault_holds_in_its_own_tick_and_is_named(bundle, form, change, kind, 
     assert re.search(culprit, tick.fault.detail), tick.fault.detail
 
 
+@pytest.mark.parametrize("consecutive", [True, False])
+def test_steps_at_the_goal_count_as_the_bundle_says(bundle, consecutive):
+    """The goal now nearer to the object than the tolerance, now farther; counted here by runs of ones."""
+    simulation = bundle.manifest.simulation
+    says = dataclasses.replace(simulation, holding=dataclasses.replace(simulation.holding, consecutive=consecutive))
+    manifest = dataclasses.replace(bundle.manifest, simulation=says)
+    task, rng, outcomes = manifest.task, np.random.default_rng(0), []
+    for _ in range(4):
+        runtime = started(dataclasses.replace(bundle, manifest=manifest))
+        near = rng.uniform(size=4 * task.hold_steps) < 0.9
+        for number, at_goal in enumerate(near):
+            state = start_state(bundle, 0.05 * number)
+            distance = task.goal_tolerance_m + (-0.005 if at_goal else 0.005)
+            tick = runtime.tick(changed(state, goal=state.object_position + [0.0, 0.0, distance]), state.stamp)
+            assert tick.fault is None, tick.fault
+            told = "".join("1" if one else "0" for one in near[: number + 1])
+            counted = len(told) - len(told.rstrip("1")) if consecutive else told.count("1")
+            assert runtime.succeeded == (counted >= task.hold_steps)
+            outcomes.append(runtime.succeeded)
+    assert any(outcomes) and not all(outcomes), "both must occur"
+
+
 def test_slow_joints_and_toppling_objects_are_no_faults():
     """The Jaco's third joint has a limit of 0.2 rad/s, which poses on a stiff arm pass; an object may topple as fast as one falls."""
     jaco = load_bundle("jaco")

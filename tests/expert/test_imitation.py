@@ -12,7 +12,6 @@ from toys import HAND_ROBOTS, LIFT
 
 from robots import MODEL_ROBOTS
 from tasks.hand_suite import CARDS
-from tasks.task import Judge
 from toolkit.cli import main
 from toolkit.demonstrations.recorded import Recorded, save_recorded
 from toolkit.errors import ToolkitError
@@ -155,7 +154,7 @@ def test_a_shipped_expert_succeeds_in_gymnasium_robotics_own_environment(name):
     succeeded = []
     for seed in range(4):
         seen, _ = env.reset(seed=seed)
-        judge, done, ended = Judge(task), False, False
+        judge, done, ended = task.judge(), False, False
         actions = []
         while not done and not ended:
             actions.append(policy.mean(seen))

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from robots import MODEL_ROBOTS
 from tasks.ant_maze import CARDS, LOOK_AHEAD, START_SHIFT
 from tasks.maze import CELL, OUT_EAST, OUT_NORTH, START, WayEast, WayOut
-from tasks.task import Judge
 
 TASK = CARDS["ant-maze"]
 EXIT = (-OUT_EAST - 0.1, -3.0)
@@ -168,7 +167,7 @@ def test_what_counts_as_outside_and_as_lost(ant, x, y, upright, goal, lost):
     _, data, scene = ant
     at(data, x, y, upright)
     assert (scene.at_goal(), scene.lost()) == (goal, lost)
-    assert Judge(TASK).tell(scene.at_goal()) == goal, "one step outside is a success"
+    assert TASK.judge().tell(scene.at_goal()) == goal, "one step outside is a success"
 
 
 @pytest.mark.parametrize("place, reward", [(EXIT, 1.0), ((EXIT[0], 3.0), 0.0)])

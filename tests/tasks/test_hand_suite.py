@@ -10,7 +10,6 @@ import pytest
 
 from robots import MODEL_ROBOTS
 from tasks.hand_suite import CARDS, FALLEN, HOLD_STEPS, NAILED, OPEN
-from tasks.task import Judge
 
 SOURCE = MODEL_ROBOTS["adroit-free"]
 IDS = {"door": "AdroitHandDoorSparse-v1", "hammer": "AdroitHandHammerSparse-v1", "relocate": "AdroitHandRelocateSparse-v1"}
@@ -132,7 +131,7 @@ def test_a_ball_is_wanted_in_the_air_and_lost_below_the_table():
 
 @every_task
 def test_steps_at_the_goal_count_whenever_they_come(task):
-    judge = Judge(task)
+    judge = task.judge()
     for _ in range(HOLD_STEPS[task.kind] - 1):
         assert not judge.tell(True) and not judge.tell(False)
     assert judge.tell(True)

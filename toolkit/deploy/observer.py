@@ -24,6 +24,9 @@ class Observer:
         kinematics: of its robot.
         info: the order in which the arm reports its joints; None: the manifest's own.
 
+    Attributes:
+        size: n_obs.  goal: where an observation says how far the goal is from the object, if it does.
+
     Raises:
         ToolkitError: an entry of the observation that this release cannot assemble.
     """
@@ -53,6 +56,7 @@ class Observer:
                 finger_start.append(finger.start_rad)
             position += entry.size
         self.size = position
+        self.goal = next((place for place, kind in self._entries if kind == "goal_from_object"), None)
         self._finger_at, self._finger_joint = np.array(finger_at, int), np.array(finger_joint, int)
         self._finger_sign, self._finger_start = np.array(finger_sign), np.array(finger_start)
         self._endless = np.array([joint.low is None for joint in manifest.joints])

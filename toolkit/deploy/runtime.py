@@ -15,6 +15,8 @@ from typing import Any, Literal, TextIO
 
 import numpy as np
 
+from tasks.pick import at_goal
+from tasks.task import Judge
 from toolkit.bundle.reading import Bundle
 from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import Kinematics
@@ -83,14 +85,16 @@ class Runtime:
         self.guard = Guard(manifest, self.observer)
         self.motion = motion_of(form, manifest, kinematics, info.rate_hz, bundle.mjcf, bundle.golden["episode_joints"])
         self.period = 1.0 / manifest.policy_hz
-        self._reached = self._held = 0
+        self._judge = self._new_judge()
+        self._held = 0
         self._fault: Fault | None = None
 
     def begin(self, state: State, now: float) -> Fault | None:
         """Start an episode at a state; a fault means that the arm must not be moved."""
         self.guard.begin()
         self.observer.begin()
-        self._reached = self._held = 0
+        self._judge = self._new_judge()
+        self._held = 0
         self._fault = self.guard.start(state, now)
         if self._fault is None:
             self.observer(state, self.manifest.gripper.preshape)
@@ -134,7 +138,8 @@ class Runtime:
             self._held += 1
         else:
             self._held = 0
-            self._count_goal(observation)
+            if self.observer.goal is not None:
+                self._judge.tell(at_goal(np.zeros(3), observation[self.observer.goal], self.manifest.task.goal_tolerance_m))
         self.guard.sent(command, self.motion)
         clock.append(time.perf_counter())
         times = dict(zip(STAGES[1:4], np.diff(clock).tolist(), strict=True))
@@ -156,15 +161,14 @@ class Runtime:
         self.guard.blind()
         return replace(tick, command=self.observer.reported(self.motion.hold()), fault=self._fault, stop=self._over)
 
-    def _count_goal(self, observation: np.ndarray) -> None:
-        goal = observation[-3:] if self.manifest.observation[-1].name == "goal_from_object" else np.full(3, np.inf)
-        near = float(np.linalg.norm(goal)) < self.manifest.task.goal_tolerance_m
-        self._reached = self._reached + 1 if near else 0
+    def _new_judge(self) -> Judge:
+        says = self.manifest.simulation  # None in format version 2, whose tasks counted like all others
+        return Judge(self.manifest.task.hold_steps, says is None or says.holding.consecutive)
 
     @property
     def succeeded(self) -> bool:
         """Whether the object has been at the goal for the task's hold_steps, as far as the runtime sees."""
-        return self._reached >= self.manifest.task.hold_steps
+        return self._judge.succeeded
 
 
 # ---- an episode ------------------------------------------------------------------------------------------------------

@@ -7,8 +7,7 @@ space function by calling them, of the task's count by showing it a few steps, o
 import tomllib
 from importlib import metadata
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,7 +16,7 @@ from robosuite.utils.control_utils import nullspace_torques
 from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
-from tasks.pick import PickTask
+from tasks.pick import PickTask, at_goal
 from toolkit.bundle.manifest import (
     Actuator,
     ClosingProgress,
@@ -247,11 +246,10 @@ def _holding(task: PickTask) -> Holding:
     """The task's own count, shown steps at the goal and away from it."""
 
     def counts(distances: list[float]) -> bool:
-        shown = SimpleNamespace(task=task, goal=np.zeros(3), _held=0, succeeded=False, lost=False)
+        judge = task.judge()
         for distance in distances:
-            shown.object_position = np.array([0.0, 0.0, distance])
-            Pick.reward(cast(Pick, shown))  # its count asks for no more than what is shown
-        return bool(shown.succeeded)
+            judge.tell(at_goal(np.array([0.0, 0.0, distance]), np.zeros(3), task.goal_tolerance))
+        return judge.succeeded
 
     near, edge, away = 0.0, task.goal_tolerance, 2.0 * task.goal_tolerance
     long, short = [near] * task.hold_steps, [near] * (task.hold_steps - 1)

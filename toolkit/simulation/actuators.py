@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from robots.model_robot import ModelRobot
-from tasks.task import Judge, ModelTask
+from tasks.task import ModelTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.family import MergedModel
 from toolkit.simulation.osc import STATE
@@ -141,7 +141,7 @@ class GymnasiumRobot:
             trace: if given, qpos (nq,) is appended at every step.
             native: there is no other action than the environment's own.
         """
-        observation, judge = self.begin(seed), Judge(self.task)
+        observation, judge = self.begin(seed), self.task.judge()
         succeeded = False
         for _ in range(self.task.horizon):
             if trace is not None:

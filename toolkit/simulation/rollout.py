@@ -14,7 +14,7 @@ import numpy as np
 
 from robots.model_robot import ModelRobot
 from robots.robot import Robot
-from tasks.task import Judge, Task
+from tasks.task import Task
 from toolkit.learning.episode import Episode
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.family import MergedModel
@@ -80,7 +80,7 @@ def play_on(
     plant: Drivable, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, tape: Tape
 ) -> Stretch:
     """Play from where the plant stands: at most ``steps`` policy steps, ending as an episode does; see ``play``."""
-    judge, data = Judge(plant.task), plant.data
+    judge, data = plant.task.judge(), plant.data
     out = Stretch(observation)
     while len(out.rewards) < steps and not out.terminated:
         action = np.asarray(actor(observation, rng), float)
