@@ -24,8 +24,7 @@ from toolkit.deploy.runtime import replay_golden
 from toolkit.errors import ToolkitError
 from toolkit.export.packing import LOST_BELOW, check_records, write_bundle
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.native_scene import model_sha256
-from toolkit.morphology.posture import arm_joints
+from toolkit.morphology.native_scene import NativeScene, model_sha256
 
 TARGET = "kinova3"
 TARGETS = ("jaco", "kinova3", "iiwa", "panda")  # three hinged grippers and one that slides
@@ -141,7 +140,7 @@ def test_the_manifest_says_how_to_drive_the_robot(exported, native, name):
     assert [entry.size for entry in manifest.observation] == list(OBSERVATION.values())
     for entry in (*manifest.observation, *manifest.action):
         assert entry.unit and entry.frame in manifest.frames and entry.meaning, f"{entry.name} is not explained"
-    assert len(manifest.joints) == len(manifest.start.arm_rad) == len(arm_joints(model))
+    assert len(manifest.joints) == len(manifest.start.arm_rad) == len(NativeScene(model).arm)
     for row, angle in zip(manifest.joints, manifest.start.arm_rad, strict=True):
         joint = model.joint("robot0_" + row.name)
         assert (row.low if row.low is not None else -np.inf) < angle < (row.high if row.high is not None else np.inf)

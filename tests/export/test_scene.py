@@ -16,8 +16,7 @@ from toolkit.errors import ToolkitError
 from toolkit.export.packing import RECORDED_SEED
 from toolkit.export.scene import scene_mjcf
 from toolkit.export.urdf import couplings, robot_urdf
-from toolkit.morphology.matching import BASE_SITE
-from toolkit.morphology.posture import GRIP_SITE
+from toolkit.morphology.native_scene import BASE_SITE, GRIP_SITE
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("jaco", "kinova3", "iiwa")

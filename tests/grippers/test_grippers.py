@@ -13,7 +13,8 @@ from grippers import GRIPPERS
 from grippers.adroit import ADROIT, AdroitHand, asset_path
 from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_PARENT, ROLES
 from robots import ROBOTS
-from toolkit.morphology.posture import GRIPPER_PREFIX, role_actuators, role_joints, target_at
+from toolkit.morphology.native_scene import GRIPPER_PREFIX, role_actuators, role_joints
+from toolkit.morphology.posture import target_at
 
 QUIET = {"has_renderer": False, "has_offscreen_renderer": False, "use_camera_obs": False}
 

@@ -13,7 +13,7 @@ from tasks.pick import ACTION_SIZE
 from toolkit.demonstrations.scripts import entry
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.posture import GRIP_SITE, arm_joints
+from toolkit.morphology.native_scene import GRIP_SITE, NativeScene
 from toolkit.simulation.laws import merged_plant
 
 every_robot = pytest.mark.parametrize("name", list(ROBOTS))
@@ -192,7 +192,7 @@ class Pair:
         own = [i for i in range(space.matching.arm_size) if self.system.present(i)]
         self.joints = [self.system.joints[i] for i in own]
         self.arm = [self.model.joint(space.matching.slots[i].name).id for i in own]
-        self.native_arm = arm_joints(self.native)
+        self.native_arm = NativeScene(self.native).arm
 
     def pose(self, rng):
         """Both arms at one random configuration within the limits (half a turn either way without)."""

@@ -12,7 +12,8 @@ from tasks.pick import GOAL_OFFSET, OBJECT_XY, START_POSITION, START_ROTATION, T
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
 from toolkit.learning.policy import MeanActor
-from toolkit.morphology.posture import GRIP_SITE, arm_joints, solve_arm, start_of
+from toolkit.morphology.native_scene import GRIP_SITE, NativeScene
+from toolkit.morphology.posture import solve_arm, start_of
 from toolkit.simulation.rollout import play
 
 REACH = 0.05
@@ -31,7 +32,7 @@ def grasp_frame(model, qpos):
 
 def limit_slack(model, qpos):
     """Smallest distance [rad] of a limited arm joint from its limits."""
-    arm = [j for j in arm_joints(model) if model.jnt_limited[j]]
+    arm = [j for j in NativeScene(model).arm if model.jnt_limited[j]]
     angle = qpos[model.jnt_qposadr[arm]]
     return float(np.minimum(angle - model.jnt_range[arm, 0], model.jnt_range[arm, 1] - angle).min())
 
@@ -51,7 +52,7 @@ def test_the_start_posture_is_within_limits_and_at_rest(native, name):
     robot = native(name)
     slack = limit_slack(robot.model, robot.data.qpos)
     assert slack > 0, f"{name}: an arm joint starts {-slack:.3f} rad beyond its limit"
-    arm = robot.model.jnt_qposadr[arm_joints(robot.model)]
+    arm = NativeScene(robot.model).arm_qpos
     np.testing.assert_allclose(robot.data.qpos[arm], start_of(robot.robot).arm, atol=1e-12)
     assert np.abs(robot.data.qvel).max() == 0.0, f"{name}: starts with speed {np.abs(robot.data.qvel).max()}"
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE
-from toolkit.morphology.posture import arm_joints
+from toolkit.morphology.native_scene import NativeScene
 from toolkit.simulation.osc import NULL_KP, SINGULAR, base_rotation, cholesky, osc_torque, rotation_from_vector, solve_factored
 
 vectors = st.tuples(*[st.floats(-4.0, 4.0)] * 3).map(np.array)
@@ -109,7 +109,7 @@ def test_two_seconds_agree_with_robosuites_own_step(native, native_fast, name, s
     slow, fast = native(name), native_fast(name)
     slow.begin(seed)
     fast.begin(seed)
-    arm = slow.model.jnt_qposadr[arm_joints(slow.model)]
+    arm = NativeScene(slow.model).arm_qpos
     np.testing.assert_allclose(slow.data.qpos, fast.data.qpos, atol=1e-12, err_msg="they start apart")
     worst = 0.0
     for action in gentle_actions(seed):
@@ -130,7 +130,7 @@ def test_torques_stay_within_the_arms_limits(native_fast, name):
     for scale in (1.0, 1e6):
         for _ in range(5):
             plant.step(scale * rng.uniform(-1, 1, ACTION_SIZE))
-            arm = len(arm_joints(plant.model))
+            arm = len(NativeScene(plant.model).arm)
             low, high = plant.model.actuator_ctrlrange[:arm].T
             torques = plant.data.ctrl[:arm]
             assert (torques >= low).all() and (torques <= high).all(), f"{name}: {torques} N m"

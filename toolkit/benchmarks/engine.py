@@ -28,7 +28,7 @@ from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.matching import match
-from toolkit.morphology.posture import arm_joints
+from toolkit.morphology.native_scene import NativeScene
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.simulation import osc
 from toolkit.simulation.laws import merged_plant, native_plant
@@ -310,7 +310,7 @@ def qpos_difference(native: NativeRobot, plant: Plant, seed: int) -> tuple[float
     """Largest difference [rad, m] of arm joints, and of all joints, between env.step and the engine over 2 s of free motion."""
     native.begin(seed)
     plant.begin(seed)
-    arm = native.model.jnt_qposadr[arm_joints(native.model)]
+    arm = NativeScene(native.model).arm_qpos
     worst = np.zeros(native.model.nq)
     for action in gentle_actions(seed):
         native.step(action)

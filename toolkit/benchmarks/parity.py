@@ -20,7 +20,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.lab import Merged
 from toolkit.morphology.linkage import CLOSING_STEP, CLOSING_STEPS, SETTLED, SQUEEZE, become_box, clamp, jaws_meet
 from toolkit.morphology.matching import CUBE, System
-from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints, welded_bodies
+from toolkit.morphology.native_scene import GRIPPER_PREFIX, NativeScene, role_actuators, role_joints, welded_bodies
 from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.plant import Plant
 
@@ -123,8 +123,8 @@ def _native_side(robot: Robot, task: PickTask) -> Side:
     others = [body for role, body in body_of.items() if not role.startswith("TH")]
     jaws = (np.isin(np.arange(model.nbody), thumb), np.isin(np.arange(model.nbody), others))
     fingers = [actuators[role] for role in robot.gripper.targets]
-    item = int(model.body(plant.env.item.root_body).id)
-    return Side(plant, model.site(GRIP_SITE).id, arm_joints(model), fingers, pads, jaws, item)
+    scene = NativeScene(model)
+    return Side(plant, scene.grip_site, scene.arm, fingers, pads, jaws, plant.object_body)
 
 
 def _link(model: mujoco.MjModel, body: int, links: Collection[int]) -> int:

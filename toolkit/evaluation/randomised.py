@@ -19,7 +19,7 @@ from toolkit.evaluation.success import Evaluation
 from toolkit.io.jsonfiles import read_object
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import System
-from toolkit.morphology.posture import arm_joints
+from toolkit.morphology.native_scene import NativeScene
 from toolkit.runs.seeds import EVALUATION_SEEDS
 from toolkit.simulation.plant import Plant
 from toolkit.simulation.rollout import NativeEngine
@@ -79,7 +79,7 @@ class RandomisedRobot:
         ends = dict(zip(robot.task.observation, itertools.accumulate(robot.task.observation.values()), strict=True))
         self._entry = {name: slice(ends[name] - size, ends[name]) for name, size in robot.task.observation.items()}
         self._nominal = {name: np.array(getattr(self.model, name)) for name in DISTURBED}
-        self._arm = self.model.jnt_qposadr[arm_joints(self.model)]
+        self._arm = NativeScene(self.model).arm_qpos
         self.drawn: dict[str, float] = {}
         self._seen: deque[np.ndarray] = deque()
 

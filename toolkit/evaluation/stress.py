@@ -25,7 +25,7 @@ from toolkit.bundle.reading import load_bundle
 from toolkit.errors import ToolkitError
 from toolkit.io.claims import open_claimed
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.posture import GRIPPER_PREFIX, arm_joints
+from toolkit.morphology.native_scene import NativeScene
 from toolkit.quiet import start_worker
 from toolkit.runs.seeds import EVALUATION_SEEDS
 from toolkit.simulation.native import NativeRobot
@@ -97,8 +97,8 @@ class StressedRobot(NativeRobot):
         model = self.model
         self._object = int(self.env.object_body)
         self._geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == self._object]
-        self._arm = arm_joints(model)
-        self._hand = next(b for b in range(model.nbody) if model.body(b).name.startswith(GRIPPER_PREFIX))
+        scene = NativeScene(model)
+        self._arm_qpos, self._arm_dofs, self._hand = scene.arm_qpos, scene.arm_dofs, scene.hand
         self._table = model.body("table").id
         self._nominal = {name: np.array(getattr(model, name)) for name in ("body_mass", "body_inertia", "body_pos", "geom_friction",
                                                                            "geom_size", "geom_rbound", "geom_aabb")}
@@ -134,7 +134,7 @@ class StressedRobot(NativeRobot):
         qpos = self.data.qpos
         at = int(model.jnt_qposadr[model.body_jntadr[self._object]])
         qpos[at + 2] += lift + (size - 1.0) * self.task.object.half_height
-        qpos[model.jnt_qposadr[self._arm]] += value("start_posture") * self._rng.uniform(-1, 1, len(self._arm))
+        qpos[self._arm_qpos] += value("start_posture") * self._rng.uniform(-1, 1, len(self._arm_qpos))
         self.env.goal = self.env.goal + np.append(value("goal_shift") * self._direction(2), lift)
         controller = self.env.robots[0].part_controllers["right"]
         controller.kp = np.array(controller.kp) * value("controller_gain")
@@ -154,7 +154,7 @@ class StressedRobot(NativeRobot):
         """See NativeRobot, with the forces that the controller does not know of."""
         data = self.data
         data.xfrc_applied[self._hand, 2] = -GRAVITY * self.value("payload")
-        dofs = self.model.jnt_dofadr[self._arm]
+        dofs = self._arm_dofs
         data.qfrc_applied[dofs] = -self.value("gravity_error") * data.qfrc_bias[dofs]
         return super().apply(native)
 

@@ -17,7 +17,7 @@ from tasks.pick import START_ROTATION
 from toolkit.bundle.manifest import Gripper, Response, Vector
 from toolkit.evaluation.stress import GOOD
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints, role_actuators, role_joints
+from toolkit.morphology.native_scene import NativeScene, role_actuators, role_joints
 from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
 from toolkit.simulation.plant import CLOSING, Plant
 from toolkit.simulation.rollout import Tape, play, play_on
@@ -40,7 +40,7 @@ def rotation_vector(rotation: np.ndarray) -> np.ndarray:
 
 def grasp_coordinates(plant: Plant) -> np.ndarray:
     """(6,) origin [m] of the grasp frame and its rotation vector [rad] from the start rotation, in the task frame."""
-    site = plant.model.site(GRIP_SITE).id
+    site = NativeScene(plant.model).grip_site
     return np.append(plant.data.site_xpos[site], rotation_vector(plant.data.site_xmat[site].reshape(3, 3) @ START_ROTATION.T))
 
 
@@ -78,9 +78,8 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
         noisy: with the exploration noise of training.
         lowest: height [m] of the gripper's lowest point at a configuration (nq,).
     """
-    model, arm = plant.model, arm_joints(plant.model)
-    dofs, by_joint = model.jnt_dofadr[arm], {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
-    motors = [by_joint[joint] for joint in arm]
+    scene = NativeScene(plant.model)
+    dofs, motors = scene.arm_dofs, scene.arm_actuators
     out, succeeded = Played([], [], [], [], [], [], [], 0.0), 0
     for seed in seeds:
         rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -114,7 +113,7 @@ def borne_start_error(plant: Plant, policy: GaussianPolicy, seeds: list[int], wi
         seeds: of the episodes.
         widths: half widths [rad] to try, rising.
     """
-    arm, borne = plant.model.jnt_qposadr[arm_joints(plant.model)], 0.0
+    arm, borne = NativeScene(plant.model).arm_qpos, 0.0
     for width in widths:
         failures = 0
         for seed in seeds:
@@ -141,11 +140,8 @@ def record_episode(plant: Plant, robot: Robot, policy: GaussianPolicy, seed: int
     Arrays: episode_joints (T, n), episode_fingers (T, m) [rad], episode_object_position (T, 3), episode_object_quaternion (T, 4),
     episode_goal (3,), episode_command (T,) the closing command, episode_observations (T, n_obs).
     """
-    model, data = plant.model, plant.data
-    joints = [model.joint(j).name for j in range(model.njnt)]
-    arm = model.jnt_qposadr[arm_joints(model)]
-    fingers = model.jnt_qposadr[[j for j, name in enumerate(joints) if name.startswith(GRIPPER_PREFIX)]]
-    item = model.body(plant.env.item.root_body).id
+    model, data, item, scene = plant.model, plant.data, plant.object_body, NativeScene(plant.model)
+    arm, fingers = scene.arm_qpos, scene.finger_qpos
     rows: list[tuple] = []
 
     def seen(_: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -191,17 +187,16 @@ def measure_response(plant: Plant) -> Response:
 def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
     """Opening and joint angles of the empty gripper over its closing command, the arm held still."""
     model = copy.copy(plant.model)
-    arm = model.jnt_dofadr[arm_joints(model)]
-    model.dof_armature[arm], model.dof_damping[arm] = CLAMP, CLAMP
+    scene = NativeScene(model)
+    model.dof_armature[scene.arm_dofs], model.dof_damping[scene.arm_dofs] = CLAMP, CLAMP
     data = mujoco.MjData(model)
     plant.begin(0)
     data.qpos[:] = plant.data.qpos
-    item = int(model.body(plant.env.item.root_body).jntadr[0])
-    data.qpos[model.jnt_qposadr[item] : model.jnt_qposadr[item] + 3] = (3.0, 3.0, 1.0)
+    item = int(model.jnt_qposadr[scene.object_joint])
+    data.qpos[item : item + 3] = (3.0, 3.0, 1.0)
     joints, actuators = role_joints(model, robot), role_actuators(model, robot)
     outer = {side: _outermost(model, [joint for role, joint in joints.items() if role.startswith("TH") == (side == "thumb")])
              for side in ("thumb", "fingers")}
-    fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
     commands = np.linspace(-1.0, 1.0, GRIPPER_COMMANDS)
     openings, angles = [], []
     for command in commands:
@@ -210,7 +205,7 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
         mujoco.mj_forward(model, data)
         gaps = [mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in outer["thumb"] for b in outer["fingers"]]
         openings.append(max(0.0, min(gaps)))
-        angles.append(vector(data.qpos[model.jnt_qposadr[fingers]]))
+        angles.append(vector(data.qpos[scene.finger_qpos]))
     if robot.gripper.rate is None:
         raise ValueError(f"gripper {robot.gripper.name} is a hand, which has no rate")
     return Gripper(
@@ -218,8 +213,8 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
         preshape=float(robot.gripper.preshape), open_sign=-1, close_sign=1,
         targets={robot.gripper.joints[role]: tuple(map(float, pair)) for role, pair in robot.gripper.targets.items()},
         command=tuple(commands.tolist()), opening_m=tuple(np.minimum.accumulate(openings).tolist()),
-        joints=tuple(model.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in fingers),
-        joint_units=tuple("m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad" for j in fingers),
+        joints=scene.finger_names,
+        joint_units=tuple("m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad" for j in scene.fingers),
         joint_positions=tuple(angles),
         fraction="opening_m / opening_m[0]: 1 open, 0 touching",
     )

@@ -31,9 +31,8 @@ from toolkit.bundle.manifest import (
     Success,
 )
 from toolkit.export.datasheet import vector
-from toolkit.morphology.matching import BASE_SITE
-from toolkit.morphology.native_scene import plain_name
-from toolkit.morphology.posture import GRIPPER_PREFIX, native_env
+from toolkit.morphology.native_scene import BASE_SITE, GRIPPER_PREFIX, plain_name
+from toolkit.morphology.posture import native_env
 from toolkit.simulation.plant import Plant
 
 PART = "right"

@@ -82,9 +82,7 @@ from toolkit.export.urdf import GRASP, couplings, robot_urdf
 from toolkit.io.atomic import write_atomically
 from toolkit.io.claims import claim, give_up
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.morphology.matching import BASE_SITE
-from toolkit.morphology.native_scene import model_sha256, plain_name
-from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
+from toolkit.morphology.native_scene import ARM_PREFIX, BASE_SITE, GRIP_SITE, GRIPPER_PREFIX, NativeScene, model_sha256, plain_name
 from toolkit.runs.provenance import git_state, recorded_versions
 from toolkit.simulation.laws import native_plant
 from toolkit.simulation.plant import CLOSING, Plant, finger_map
@@ -119,7 +117,7 @@ off is not where it was sent, whatever the policy bears."""
 STEP_MARGIN, STEP_FLOOR = 1.5, 0.2
 """Change of an action entry per tick."""
 JUMP_MARGIN = 3.0
-OBJECT, ARM_PREFIX = "object", "robot0_"
+OBJECT = "object"
 """What scene.xml calls the object, and robosuite's prefix of an arm's names."""
 GOAL = "set once per policy step from the achieved pose, in the base site's frame, with which it moves until the next"
 FRAMES = {
@@ -332,11 +330,11 @@ def _describe(
     plant = native_plant(robot, task)
     plant.begin(RECORDED_SEED)
     mjcf, start, scene, coupled = robot_mjcf(plant, robot.name), _start(plant), *_scene(robot, plant)
-    flange = plain_name(plant.model.body(_flange(plant)).name)
-    arm = [plain_name(plant.model.joint(j).name) for j in arm_joints(plant.model)]
-    kinematics = Kinematics(mjcf, arm, list(start.fingers), flange, START_ROTATION)
+    native = NativeScene(plant.model)
+    flange = plain_name(plant.model.body(native.flange).name)
+    kinematics = Kinematics(mjcf, native.arm_names, list(start.fingers), flange, START_ROTATION)
     # What depends on the posture is read here, at the start.
-    card, base, fingers = _robot_card(robot, plant, flange), _base(plant), _fingers(robot, plant)
+    card, base, fingers = _robot_card(robot, plant, flange), native.osc_base(plant.data)[:3], _fingers(robot, plant)
     progress("measuring the arm's response and the gripper")
     gripper, response = datasheet.measure_gripper(robot, plant), datasheet.measure_response(plant)
     lowest = _lowest(plant, kinematics)
@@ -371,7 +369,7 @@ def _describe(
 
 def _scene(robot: Robot, plant: Plant) -> tuple[str, dict[str, tuple[str, float, float]]]:
     """scene.xml, and which finger joints the scene couples to which; the plant stands at the recorded episode's start."""
-    model, item = plant.model, plant.model.body(plant.env.item.root_body).name
+    model, item = plant.model, plant.model.body(plant.object_body).name
     inside = lambda name: OBJECT if name == item else name.removeprefix(ARM_PREFIX).removeprefix(GRIPPER_PREFIX)  # noqa: E731
     driven = {robot.gripper.joints[role] for role in robot.gripper.targets}
     joints = {model.joint(j).name: plain_name(model.joint(j).name) for j in range(model.njnt)}
@@ -381,27 +379,19 @@ def _scene(robot: Robot, plant: Plant) -> tuple[str, dict[str, tuple[str, float,
 
 def _lowest(plant: Plant, kinematics: Kinematics) -> Callable[[np.ndarray], float]:
     """qpos (nq,) of the scene -> height [m] of the gripper's lowest enclosing shape above the table."""
-    model = plant.model
-    arm = model.jnt_qposadr[arm_joints(model)]
-    fingers = model.jnt_qposadr[[j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]]
+    scene = NativeScene(plant.model)
 
     def height(qpos: np.ndarray) -> float:
-        kinematics.place(qpos[arm], qpos[fingers])
+        kinematics.place(qpos[scene.arm_qpos], qpos[scene.finger_qpos])
         return kinematics.lowest() - TABLE_TOP
 
     return height
 
 
-def _flange(plant: Plant) -> int:
-    """The body on which the gripper's bodies hang."""
-    model = plant.model
-    return next(int(model.body_parentid[b]) for b in range(model.nbody) if model.body(b).name.startswith(GRIPPER_PREFIX))
-
-
 def _robot_card(robot: Robot, plant: Plant, flange: str) -> RobotCard:
     model, data = plant.model, plant.data
-    base = int(model.body_parentid[model.jnt_bodyid[arm_joints(model)[0]]])
-    hand, site = _flange(plant), model.site(GRIP_SITE).id
+    scene = NativeScene(model)
+    base, hand, site = scene.base, scene.flange, scene.grip_site
     rotation = data.xmat[hand].reshape(3, 3).T
     tool = np.empty(4)
     mujoco.mju_mat2Quat(tool, np.ascontiguousarray(rotation @ data.site_xmat[site].reshape(3, 3)).ravel())
@@ -411,14 +401,6 @@ def _robot_card(robot: Robot, plant: Plant, flange: str) -> RobotCard:
         base_quaternion=vector(data.xquat[base]), flange_body=flange,
         tool_position_m=vector(rotation @ (data.site_xpos[site] - data.xpos[hand])), tool_quaternion=vector(tool),
     )
-
-
-def _base(plant: Plant) -> tuple[bool, np.ndarray, np.ndarray]:
-    """Whether the controller's base turns with joint 1, that joint's axis and anchor at the start."""
-    model, first = plant.model, arm_joints(plant.model)[0]
-    site = model.site(BASE_SITE)
-    follows = bool(model.body_jntadr[model.site_bodyid[site.id]] == first)
-    return follows, np.array(plant.data.xaxis[first]), np.array(plant.data.xanchor[first])
 
 
 def _controller(plant: Plant, base: tuple[bool, np.ndarray, np.ndarray], response: Any) -> Controller:
@@ -468,13 +450,12 @@ def _fingers(robot: Robot, plant: Plant) -> dict[str, Finger]:
 
 
 def _start(plant: Plant) -> Start:
-    model, qpos = plant.model, plant.data.qpos
-    fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
+    scene, qpos = NativeScene(plant.model), plant.data.qpos
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(START_ROTATION).ravel())
     return Start(
-        arm_rad=vector(qpos[model.jnt_qposadr[arm_joints(model)]]),
-        fingers={plain_name(model.joint(j).name): float(qpos[model.jnt_qposadr[j]]) for j in fingers},
+        arm_rad=vector(qpos[scene.arm_qpos]),
+        fingers=dict(zip(scene.finger_names, vector(qpos[scene.finger_qpos]), strict=True)),
         grasp_position_m=vector(START_POSITION), grasp_quaternion=vector(quaternion), tolerance_rad=START_ERRORS[0],
         tolerance_m=1.0, tolerance_rotation_rad=1.0,  # until they are measured
     )
@@ -494,22 +475,21 @@ def _tolerances(kinematics: Kinematics, start: Start, width: float) -> dict[str,
 
 def _joints(robot: Robot, plant: Plant, calm: Played) -> tuple[Joint, ...]:
     """Limits of the arm, from base to flange."""
-    model, period = plant.model, 1.0 / plant.task.control_frequency
-    by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
+    model, scene, period = plant.model, NativeScene(plant.model), 1.0 / plant.task.control_frequency
     speed = np.max([np.abs(rows).max(axis=0) for rows in calm.speeds], axis=0)
     push = datasheet.largest_step([np.vstack([np.zeros(rows.shape[1]), rows]) for rows in calm.speeds]) / period
     effort = np.max([np.abs(rows).max(axis=0) for rows in calm.efforts], axis=0)
     fastest = np.full(len(speed), np.inf) if robot.joint_speeds is None else np.array(robot.joint_speeds)
     limit = np.minimum(np.maximum(SPEED_MARGIN * speed, SPEED_FLOOR), fastest)
     out = []
-    for i, joint in enumerate(arm_joints(model)):
+    for i, (joint, motor) in enumerate(zip(scene.arm, scene.arm_actuators, strict=True)):
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (None, None)
         out.append(
             Joint(
-                name=plain_name(model.joint(joint).name), low=None if low is None else float(low),
+                name=scene.arm_names[i], low=None if low is None else float(low),
                 high=None if high is None else float(high), speed=float(limit[i]),
                 acceleration=float(max(ACCELERATION_MARGIN * push[i], ACCELERATION_FLOOR)),
-                effort=float(np.abs(model.actuator_ctrlrange[by_joint[joint]]).max()), seen_speed=float(speed[i]),
+                effort=float(np.abs(model.actuator_ctrlrange[motor]).max()), seen_speed=float(speed[i]),
                 seen_acceleration=float(push[i]), seen_effort=float(effort[i]),
             )
         )

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from toolkit.deploy.kinematics import HULL
-from toolkit.morphology.native_scene import plain_name, robot_bodies
-from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
+from toolkit.morphology.native_scene import GRIP_SITE, GRIPPER_PREFIX, NativeScene, plain_name, robot_bodies
 from toolkit.simulation.plant import Plant
 
 
@@ -26,8 +25,8 @@ def robot_mjcf(plant: Plant, name: str) -> str:
     assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     table = next(g for g in range(model.ngeom) if model.geom(g).name == "table_collision")
     _shape(world, "table", model.geom_type[table], model.geom_size[table], plant.data.geom_xpos[table], np.array([1.0, 0, 0, 0]))
-    effort = {int(model.actuator_trnid[a, 0]): model.actuator_ctrlrange[a] for a in range(model.nu)}
-    arm = arm_joints(model)
+    scene = NativeScene(model)
+    effort = dict(zip(scene.arm, model.actuator_ctrlrange[scene.arm_actuators], strict=True))
     made: dict[int, ET.Element] = {}
     for body in robot_bodies(model):
         parent = made.get(int(model.body_parentid[body]), world)
@@ -48,7 +47,7 @@ def robot_mjcf(plant: Plant, name: str) -> str:
                           "armature": text(model.dof_armature[dof]), "frictionloss": text(model.dof_frictionloss[dof])}
             if limited:
                 attributes["range"] = text(model.jnt_range[joint])
-            if joint in arm:
+            if joint in effort:
                 attributes |= {"actuatorfrclimited": "true", "actuatorfrcrange": text(effort[joint])}
             ET.SubElement(element, "joint", attributes)
         for geom in (g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.geom_group[g] == 0):

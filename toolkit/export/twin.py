@@ -23,8 +23,7 @@ from toolkit.deploy.arm import FORMS, Command
 from toolkit.deploy.kinematics import matrix_of, vector_of
 from toolkit.deploy.runtime import Pace
 from toolkit.errors import ToolkitError
-from toolkit.morphology.native_scene import model_sha256, plain_name
-from toolkit.morphology.posture import GRIP_SITE, GRIPPER_PREFIX, arm_joints
+from toolkit.morphology.native_scene import NativeScene, model_sha256
 from toolkit.simulation.native import NativeRobot
 
 SERVO_KP = 1600.0
@@ -46,19 +45,15 @@ class Twin:
     def __init__(self, robot: Robot, task: PickTask, pace: Pace) -> None:
         self.native, self.robot, self.task, self.pace = NativeRobot(robot, task), robot, task, pace
         self.model, self.data, self.env = self.native.model, self.native.data, self.native.env
-        model = self.model
-        arm = arm_joints(model)
-        self._names = tuple(plain_name(model.joint(j).name) for j in arm)
-        fingers = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER_PREFIX)]
-        self._finger_names = tuple(plain_name(model.joint(j).name) for j in fingers)
-        self._qpos, self._dofs, self._finger_qpos = model.jnt_qposadr[arm], model.jnt_dofadr[arm], model.jnt_qposadr[fingers]
-        self._endless = model.jnt_limited[arm] == 0
-        by_joint = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
-        self._motors = np.array([by_joint[j] for j in arm])
+        model, scene = self.model, NativeScene(self.model)
+        self._names, self._finger_names = scene.arm_names, scene.finger_names
+        self._qpos, self._dofs, self._finger_qpos = scene.arm_qpos, scene.arm_dofs, scene.finger_qpos
+        self._endless = model.jnt_limited[scene.arm] == 0
+        self._motors = np.array(scene.arm_actuators)
         self._limit = np.abs(model.actuator_ctrlrange[self._motors]).max(axis=1)
-        base = int(model.body_parentid[model.jnt_bodyid[arm[0]]])
+        base = scene.base
         self._base, self._origin = self.data.xmat[base].reshape(3, 3).copy(), self.data.xpos[base].copy()
-        self._site = model.site(GRIP_SITE).id
+        self._site = scene.grip_site
         self.period = 1.0 / task.control_frequency
         self.substeps = int(round(self.period / model.opt.timestep))
         self.begin(0)

@@ -12,12 +12,13 @@ import mujoco
 import numpy as np
 
 from toolkit.morphology.matching import Matching, System
+from toolkit.morphology.native_scene import ARM_PREFIX, plain_name
 
 GRID = 0.002
 """Cell [m] to which vertices are gathered: below what a screen shows of a whole robot."""
 ROUND = 24
 """Corners of a circle when a primitive becomes triangles."""
-PARTS = ("robot0_", "gripper0_")
+PARTS = (ARM_PREFIX, "gripper0_")
 """Prefixes of robosuite's names of what belongs to a robot; its pedestal stays out of the way."""
 
 
@@ -180,7 +181,7 @@ def _gathered(model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: list
         colours.append(np.tile(geom_colour(model, geom), (len(points), 1)))
         faces.append(triangles + count)
         count += len(points)
-    name = model.body(body).name.removeprefix("robot0_").removeprefix("gripper0_right_") if body else "base"
+    name = plain_name(model.body(body).name) if body else "base"
     return _painted(name, np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours))
 
 

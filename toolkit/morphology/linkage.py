@@ -26,7 +26,8 @@ from scipy.optimize import least_squares
 from robots.robot import Robot
 from tasks.pick import START_POSITION
 from toolkit.errors import ToolkitError
-from toolkit.morphology.posture import arm_joints, role_actuators, role_joints, target_at
+from toolkit.morphology.native_scene import NativeScene, role_actuators, role_joints
+from toolkit.morphology.posture import target_at
 
 CLAMP = 1e6
 """Armature [kg, kg m^2] and damping [N s/m, N m s/rad] that hold an arm, or a box, still."""
@@ -172,9 +173,10 @@ class _Bench:
         thumb = [bodies[joint] for role, joint in joints.items() if role.startswith("TH")]
         fingers = [bodies[joint] for role, joint in joints.items() if not role.startswith("TH")]
         self._jaws = [np.isin(np.arange(model.nbody), jaw) for jaw in (thumb, fingers)]
-        free = next(j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
+        scene = NativeScene(model)
+        free = scene.object_joint
         self.item, self._item_qpos = int(bodies[free]), int(model.jnt_qposadr[free])
-        clamp(self.model, model.jnt_dofadr[arm_joints(model)])
+        clamp(self.model, scene.arm_dofs)
         clamp(self.model, model.jnt_dofadr[free] + np.arange(6))
         self._start = start
         self.place(OUT_OF_REACH)

@@ -21,16 +21,17 @@ from robots.robot import Robot
 from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.morphology.linkage import Linkage, closed_on_box, equivalent_linkages
-from toolkit.morphology.posture import (
+from toolkit.morphology.native_scene import (
+    BASE_SITE,
     GRIP_SITE,
     GRIPPER_PREFIX,
-    arm_joints,
-    native_env,
+    NativeScene,
+    plain_name,
     role_actuators,
     role_joints,
-    target_at,
     welded_bodies,
 )
+from toolkit.morphology.posture import native_env, target_at
 from toolkit.morphology.proposal import ALONE, Finger, align, pair_cost, propose_roles
 from toolkit.morphology.tree import KinematicTree, Screw
 
@@ -44,7 +45,6 @@ CUBE = Rotation.create_group("O")
 """Turns that leave a cube as it was, and a box a box, its edges renamed."""
 EQUAL_MOMENTS, TELLING_MOMENTS = 1e-6, 1e-7
 """Principal moments within so much of each other, relatively, get a difference of so much along their body's own axes."""
-BASE_SITE = "robot0_right_center"
 
 
 @dataclass(frozen=True)
@@ -494,7 +494,7 @@ class Reading:
 
     def name(self, joint: int) -> str:
         """The robot's own name of a joint, without robosuite's prefix."""
-        return self.model.joint(joint).name.removeprefix("robot0_").removeprefix(GRIPPER_PREFIX)
+        return plain_name(self.model.joint(joint).name)
 
     def arm_name(self, index: int) -> str:
         """The arm's own name of its joint at an index, without robosuite's prefix."""
@@ -514,7 +514,7 @@ def read(robot: Robot) -> Reading:
     role = {joint: role for role, joint in role_joints(model, robot).items()}
     welded = welded_bodies(model, robot)
     tree = KinematicTree(model, "robot0_base", welded.values())
-    arm = arm_joints(model)
+    arm = NativeScene(model).arm
     return Reading(robot, env, model, data, arm, welded, tree, tree.screws(data.qpos), role)
 
 
@@ -612,7 +612,7 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
         screw = replace(screw, axis=sign * screw.axis)
         axes.setdefault(slot, screw.axis)
         own = _joint(model, joint, screw, sign, float(data.qpos[model.jnt_qposadr[joint]]))
-        held = robot.arm_friction.get(model.joint(joint).name.removeprefix("robot0_"), 0.0)
+        held = robot.arm_friction.get(plain_name(model.joint(joint).name), 0.0)
         joints[slot] = replace(own, friction_loss=own.friction_loss + held)
     for role, body in reading.welded.items():
         axis = axes.get(index[role], np.array([1.0, 0.0, 0.0]))
@@ -644,13 +644,12 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
 
 def _closed(robot: Robot, model: mujoco.MjModel, start: np.ndarray, joints: Sequence[Joint | None]) -> np.ndarray:
     """Merged angles (n_slots,) of the robot's own gripper, closed on the reference box."""
-    actuators = role_actuators(model, robot)
-    free = next(j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
+    actuators, scene = role_actuators(model, robot), NativeScene(model)
 
     def targets(command: float) -> np.ndarray:
         return np.array([target_at(robot, role, command) for role in actuators])
 
-    _, data = closed_on_box(model, start, arm_joints(model), int(model.jnt_bodyid[free]), list(actuators.values()), targets,
+    _, data = closed_on_box(model, start, scene.arm, int(model.jnt_bodyid[scene.object_joint]), list(actuators.values()), targets,
                             robot.gripper.preshape)
     return np.array([
         0.0 if joint is None or joint.mujoco_joint < 0 else joint.sign * (data.qpos[model.jnt_qposadr[joint.mujoco_joint]] - joint.start)

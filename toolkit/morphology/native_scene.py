@@ -1,4 +1,4 @@
-"""A compiled robosuite scene, read: which bodies are the robot's, their plain names, and the digest of how it moves."""
+"""A compiled robosuite scene of an arm with its gripper, read: what is whose, where it stands in the arrays, how it moves."""
 
 import hashlib
 import json
@@ -6,10 +6,132 @@ import json
 import mujoco
 import numpy as np
 
-from toolkit.morphology.posture import GRIPPER_PREFIX
+from robots.robot import Robot
+from toolkit.errors import ToolkitError
 
-PREFIXES = ("robot0_", GRIPPER_PREFIX, "fixed_mount0_")
+ARM_PREFIX, GRIPPER_PREFIX = "robot0_", "gripper0_right_"
+GRIP_SITE, BASE_SITE = GRIPPER_PREFIX + "grip_site", ARM_PREFIX + "right_center"
+"""The grasp frame, and the frame that OSC commands refer to."""
+PREFIXES = (ARM_PREFIX, GRIPPER_PREFIX, "fixed_mount0_")
 """Of the robot's bodies in a robosuite scene; left out of the names in robot.xml."""
+
+
+class NativeScene:
+    """Ids and addresses of a robot's parts in its scene.
+
+    Args:
+        model: of a robosuite scene.
+
+    Attributes:
+        arm: (n,) ids of the arm's joints, base to flange.  arm_qpos, arm_dofs: (n,) their addresses.
+        fingers: (m,) ids of the gripper's joints.  finger_qpos: (m,) their addresses.
+        arm_names, finger_names: (n,), (m,) of the joints, without robosuite's prefixes.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        names = [model.joint(j).name for j in range(model.njnt)]
+        self.arm = [j for j, name in enumerate(names) if name.startswith(ARM_PREFIX)]
+        self.fingers = [j for j, name in enumerate(names) if name.startswith(GRIPPER_PREFIX)]
+        self.arm_qpos, self.arm_dofs = model.jnt_qposadr[self.arm], model.jnt_dofadr[self.arm]
+        self.finger_qpos = model.jnt_qposadr[self.fingers]
+        self.arm_names = tuple(plain_name(names[j]) for j in self.arm)
+        self.finger_names = tuple(plain_name(names[j]) for j in self.fingers)
+
+    @property
+    def grip_site(self) -> int:
+        """Id of the grasp frame."""
+        return int(self.model.site(GRIP_SITE).id)
+
+    @property
+    def arm_actuators(self) -> list[int]:
+        """(n,) ids of the arm's motors."""
+        by_joint = actuator_by_joint(self.model)
+        return [by_joint[joint] for joint in self.arm]
+
+    @property
+    def object_joint(self) -> int:
+        """Id of the free joint of what is picked."""
+        return next(j for j in range(self.model.njnt) if self.model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
+
+    @property
+    def base(self) -> int:
+        """Id of the body that the arm's first joint turns against."""
+        return int(self.model.body_parentid[self.model.jnt_bodyid[self.arm[0]]])
+
+    @property
+    def hand(self) -> int:
+        """Id of the gripper's first body."""
+        return next(b for b in range(self.model.nbody) if self.model.body(b).name.startswith(GRIPPER_PREFIX))
+
+    @property
+    def flange(self) -> int:
+        """Id of the body on which the gripper's bodies hang."""
+        return int(self.model.body_parentid[self.hand])
+
+    def osc_base(self, data: mujoco.MjData) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
+        """Whether the frame that OSC commands refer to turns with the arm's first joint, that joint's axis (3,) and anchor (3,) [m], and
+        the frame's origin (3,) [m]; of data whose frames are computed, world."""
+        first, site = self.arm[0], self.model.site(BASE_SITE).id
+        follows = bool(self.model.body_jntadr[self.model.site_bodyid[site]] == first)
+        return follows, np.array(data.xaxis[first]), np.array(data.xanchor[first]), np.array(data.site_xpos[site])
+
+
+def actuator_by_joint(model: mujoco.MjModel) -> dict[int, int]:
+    """Id of a joint -> id of the actuator that drives it."""
+    return {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)}
+
+
+def role_joints(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
+    """Role -> id of the joint that plays it.
+
+    Raises:
+        ToolkitError: the gripper's model has no joint of the declared name.
+    """
+    out = {}
+    for role, name in robot.gripper.joints.items():
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, GRIPPER_PREFIX + name)
+        if joint < 0:
+            known = [model.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in range(model.njnt)
+                     if model.joint(j).name.startswith(GRIPPER_PREFIX)]
+            raise ToolkitError(
+                f"gripper {robot.gripper.name}: role {role} names joint {name!r}, which its model lacks; "
+                f"it has {', '.join(known)}"
+            )
+        out[role] = joint
+    return out
+
+
+def welded_bodies(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
+    """Role -> id of the body that plays it without a joint of its own.
+
+    Raises:
+        ToolkitError: the gripper's model has no body of the declared name, or the body has a joint.
+    """
+    out = {}
+    for role, name in robot.gripper.welded.items():
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, GRIPPER_PREFIX + name)
+        if body < 0 or model.body_jntnum[body]:
+            known = [model.body(b).name.removeprefix(GRIPPER_PREFIX) for b in range(model.nbody)
+                     if model.body(b).name.startswith(GRIPPER_PREFIX) and not model.body_jntnum[b]]
+            raise ToolkitError(
+                f"gripper {robot.gripper.name}: role {role} is welded to body {name!r}, which its model has not without "
+                f"joints; it has {', '.join(known)}"
+            )
+        out[role] = body
+    return out
+
+
+def role_actuators(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
+    """Role -> id of the actuator on that role's joint, for the roles that have a target."""
+    by_joint, joints = actuator_by_joint(model), role_joints(model, robot)
+    missing = [role for role in robot.gripper.targets if joints[role] not in by_joint]
+    if missing:
+        raise ToolkitError(
+            f"gripper {robot.gripper.name}: role {missing[0]} has a target, but joint "
+            f"{robot.gripper.joints[missing[0]]!r} has no actuator; name the driven joint's role"
+        )
+    return {role: by_joint[joints[role]] for role in robot.gripper.targets}
 
 
 def robot_bodies(model: mujoco.MjModel) -> list[int]:

@@ -16,6 +16,7 @@ from robosuite.models.robots.robot_model import REGISTERED_ROBOTS
 from grippers.gripper import ROLE_COMMAND, slides
 from robots.robot import Robot
 from toolkit.errors import ToolkitError
+from toolkit.morphology.native_scene import ARM_PREFIX, BASE_SITE, GRIP_SITE, GRIPPER_PREFIX, plain_name
 
 LARGEST_ANGLE = 2 * np.pi + 0.01
 """Largest angle [rad] that a card is believed: beyond a turn it was written in degrees."""
@@ -29,7 +30,7 @@ LARGEST_TURNS = 2
 """Turns either way beyond which a joint's limits were written in degrees."""
 LARGEST_PLACE = 5.0
 """Largest coordinate [m] of a base that a card is believed: beyond it was written in millimetres or centimetres."""
-BASE_SITE, GRIP_SITE, FLANGE = "right_center", "grip_site", "right_hand"
+OSC_SITE, GRASP_SITE, FLANGE = plain_name(BASE_SITE), plain_name(GRIP_SITE), "right_hand"
 
 
 def findings(robot: Robot) -> list[str]:
@@ -64,7 +65,7 @@ def require_valid(robot: Robot) -> None:
 
 def compiler_complaint(robot: Robot, error: ValueError) -> ToolkitError:
     """MuJoCo's refusal of a system's scene as one sentence in the words of its models."""
-    text = " ".join(str(error).replace("gripper0_right_", "").replace("robot0_", "").split())
+    text = " ".join(str(error).replace(GRIPPER_PREFIX, "").replace(ARM_PREFIX, "").split())
     if "mass and inertia of moving bodies" in text:
         body = text.split("name '")[1].split("'")[0] if "name '" in text else "a link"
         return ToolkitError(f"robot {robot.name}: link {body!r} moves but has no mass or no inertia; give it an <inertial> of a real body")
@@ -129,8 +130,8 @@ def _of_the_arm(robot: Robot, arm: MujocoXML) -> Iterator[str]:
                f"{', '.join(joints)}")
     if robot.joint_speeds is not None and len(robot.joint_speeds) != len(joints):
         yield f"robot {robot.name}: joint_speeds has {len(robot.joint_speeds)} numbers, its arm {len(joints)} joints: {', '.join(joints)}"
-    if BASE_SITE not in [_own(arm, site) for site in arm.worldbody.iter("site")]:
-        yield f"arm {robot.arm}: it has no site {BASE_SITE!r}, the frame that OSC commands refer to; add one at its base"
+    if OSC_SITE not in [_own(arm, site) for site in arm.worldbody.iter("site")]:
+        yield f"arm {robot.arm}: it has no site {OSC_SITE!r}, the frame that OSC commands refer to; add one at its base"
     driven = {_own(arm, motor, "joint") for motor in arm.actuator}
     yield from _of_the_motors(f"arm {robot.arm}", arm, joints)
     idle = [joint for joint in joints if joint not in driven]
@@ -182,8 +183,8 @@ def _of_the_motors(label: str, arm: MujocoXML, joints: list[str]) -> Iterator[st
 
 def _of_the_gripper(robot: Robot, model: MujocoXML) -> Iterator[str]:
     card, label = robot.gripper, f"gripper {robot.gripper.name}"
-    if GRIP_SITE not in [_own(model, site) for site in model.worldbody.iter("site")]:
-        yield (f"{label}: its model has no site {GRIP_SITE!r}, the grasp frame; add one between the pads, z towards the object "
+    if GRASP_SITE not in [_own(model, site) for site in model.worldbody.iter("site")]:
+        yield (f"{label}: its model has no site {GRASP_SITE!r}, the grasp frame; add one between the pads, z towards the object "
                "and x along the closing axis")
     joints = [_own(model, joint) for joint in model.worldbody.iter("joint")]
     kinds = {_own(model, joint): joint.get("type", "hinge") for joint in model.worldbody.iter("joint")}

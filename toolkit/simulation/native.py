@@ -9,7 +9,8 @@ from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
 from tasks.env import Pick
 from tasks.pick import START_POSITION, START_ROTATION, PickTask, observe
-from toolkit.morphology.posture import GRIP_SITE, native_env, role_actuators
+from toolkit.morphology.native_scene import NativeScene, role_actuators
+from toolkit.morphology.posture import native_env
 from toolkit.simulation.osc import silence_warnings
 from toolkit.simulation.plant import CLOSING, blew_up, command_law, finger_map
 
@@ -37,7 +38,7 @@ class NativeRobot:
         mujoco.mj_forward(self.model, self.data)
         self._fingers = finger_map(robot, self.model, self.data)
         self.command = np.full(len(COMMANDED_ROLES), self.law.preshape)
-        self._site = self.model.site(GRIP_SITE).id
+        self._site = NativeScene(self.model).grip_site
         actuators = role_actuators(self.model, robot)
         driven = [actuators[role] for role in robot.gripper.targets]
         own = [int(a) for a in self.env.robots[0]._ref_joint_gripper_actuator_indexes["right"]]

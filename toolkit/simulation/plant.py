@@ -14,8 +14,9 @@ from tasks.pick import START_POSITION, START_ROTATION, PickTask, at_goal, is_los
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.grasp import Course
-from toolkit.morphology.matching import BASE_SITE, finger_sign
-from toolkit.morphology.posture import GRIP_SITE, arm_joints, native_env, role_actuators, role_joints, start_of
+from toolkit.morphology.matching import finger_sign
+from toolkit.morphology.native_scene import GRIP_SITE, NativeScene, role_actuators, role_joints
+from toolkit.morphology.posture import native_env, start_of
 from toolkit.morphology.space import GRIPPER_LOG_GAIN, HAND_LOG_GAIN, HAND_RATE
 from toolkit.simulation import osc
 
@@ -359,8 +360,7 @@ def finger_map(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> list
     """
     joints, start = role_joints(model, robot), start_of(robot)
     signs = {role: finger_sign(robot, role, np.array(data.xaxis[joint])) for role, joint in joints.items()}
-    own = [j for j in range(model.njnt) if model.joint(j).name.startswith("gripper0_right_")]
-    angle = dict(zip(own, () if start.fingers is None else start.fingers, strict=True))
+    angle = dict(zip(NativeScene(model).fingers, () if start.fingers is None else start.fingers, strict=True))
     return [
         (int(model.jnt_qposadr[joints[role]]), signs[role], float(angle[joints[role]])) if role in joints else (-1, 1.0, 0.0)
         for role in COMMANDED_ROLES
@@ -373,13 +373,12 @@ def native_arm_plant(robot: Robot, task: PickTask) -> Plant:
     env.begin(0)
     model, data = env.sim.model._model, env.sim.data._data
     mujoco.mj_forward(model, data)
-    arm = arm_joints(model)
-    site = model.site(BASE_SITE)
-    follows = float(model.body_jntadr[model.site_bodyid[site.id]] == arm[0])
-    base = (follows, np.array(data.xaxis[arm[0]]), np.array(data.xanchor[arm[0]]), np.array(data.site_xpos[site.id]))
+    scene = NativeScene(model)
+    frame = scene.osc_base(data)
+    base = (float(frame[0]), *frame[1:])
     actuators = role_actuators(model, robot)
     plant = Plant(
-        model, data, arm, list(range(len(arm))), [actuators[role] for role in robot.gripper.targets], GRIP_SITE,
+        model, data, scene.arm, scene.arm_actuators, [actuators[role] for role in robot.gripper.targets], GRIP_SITE,
         np.array(data.qpos), finger_map(robot, model, data), command_law(robot), base, env.item.root_body, task,
     )
     plant.env = env  # robosuite's wrapper owns the mjData; keep it alive
