@@ -26,6 +26,7 @@ from toolkit.morphology.native_scene import model_sha256
 from toolkit.runs.run import Run
 from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.simulation.watching import States
 from toolkit.transfer.pipeline import Job, Pipeline
 from toolkit.transfer.settings import TransferConfig
 
@@ -81,8 +82,8 @@ def main():
     compiled = NativeEngine(ROBOTS["jaco"], task)
     say("episodes, compiled", *episode_parts(compiled.play(policy.act, [np.zeros(1)] * 2, [1, 2])))
     compiled.close()
-    native, trace = NativeRobot(ROBOTS["jaco"], task), []
-    say("episode, robosuite", native.play(policy.mean, 5, trace), *trace)
+    native, states = NativeRobot(ROBOTS["jaco"], task), States()
+    say("episode, robosuite", native.play(policy.mean, 5, states), *states.qpos)
     say("model", model_sha256(native.model))
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)

@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import meta_evolve
 from toolkit.demonstrations.scripts import PickScript
+from toolkit.simulation.watching import States
 
 ROOT = Path(__file__).parents[1]
 OURS = ("toolkit", "robots", "grippers", "tasks")
@@ -85,18 +86,18 @@ def test_a_family_plays_in_its_own_environment_and_no_other():
 
 def test_an_episode_is_the_native_robots(env, native):
     """Same start, same observations, same end as the robot that success is claimed on."""
-    script, robot, trace = PickScript(), native("kinova3"), []
-    assert robot.play(script, 7, trace)
+    script, robot, states = PickScript(), native("kinova3"), States()
+    assert robot.play(script, 7, states)
     observation, info = env.reset(seed=7)
     assert info == {"seed": 7}
     rewards, ended = [], False
     while not ended:
-        np.testing.assert_array_equal(env.unwrapped.robot.data.qpos, trace[len(rewards)])
+        np.testing.assert_array_equal(env.unwrapped.robot.data.qpos, states.qpos[len(rewards)])
         observation, reward, terminated, truncated, info = env.step(np.clip(script(observation), -1, 1))
         rewards.append(reward)
         ended = terminated or truncated
     assert terminated and not truncated and info == {"success": True, "lost": False, "diverged": False}
-    assert rewards == [0.0] * (len(trace) - 2) + [1.0]
+    assert rewards == [0.0] * (len(states.qpos) - 2) + [1.0]
     named = env.unwrapped.named(observation)
     assert np.linalg.norm(named["goal_from_object"]) < env.unwrapped.task.goal_tolerance
     np.testing.assert_array_equal(np.concatenate(list(named.values())), observation)

@@ -18,6 +18,7 @@ from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION
 from toolkit.demonstrations.scripts import PickScript
 from toolkit.evaluation.success import Evaluation, evaluate_native
 from toolkit.learning.policy import GaussianPolicy
+from toolkit.simulation.watching import States
 
 
 def wilson(successes, episodes):
@@ -57,10 +58,10 @@ def test_the_scripted_pick_succeeds_on_robosuites_own_kinova3(native):
 
 
 def test_an_idle_robot_fails(native):
-    trace = []
+    states = States()
     idle = np.zeros(ACTION_SIZE)
-    assert native("kinova3").play(lambda observation: idle, 0, trace) is False
-    assert len(trace) == native("kinova3").task.horizon + 1
+    assert native("kinova3").play(lambda observation: idle, 0, states) is False
+    assert len(states.qpos) == native("kinova3").task.horizon + 1
 
 
 @pytest.mark.parametrize("what", ["speed", "position", "action"])

@@ -13,7 +13,8 @@ from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.lab import Lab
 from toolkit.simulation.divergence import Divergence, replay
 from toolkit.simulation.laws import LAWS, law_of, merged_plant, native_plant, native_robot
-from toolkit.simulation.rollout import NativeEngine, RolloutEngine, Tape, play
+from toolkit.simulation.rollout import NativeEngine, RolloutEngine, play
+from toolkit.simulation.watching import States
 
 FAMILIES = {"crawler": (CRAWLER_ROBOTS, CRAWL), "hand": (HAND_ROBOTS, LIFT)}
 either = pytest.mark.parametrize("family", list(FAMILIES))
@@ -94,9 +95,9 @@ def test_a_divergence_plays_again(tmp_path):
 
 
 def test_an_episode_can_be_taped():
-    tape = Tape(qpos=[])
-    episode = play(native_plant(HAND_ROBOTS[0], LIFT), lift, 0, np.zeros(1), tape)
-    assert len(tape.qpos) == episode.steps + 1 and tape.qpos[0].shape == (10,)
+    states = States()
+    episode = play(native_plant(HAND_ROBOTS[0], LIFT), lift, 0, np.zeros(1), states)
+    assert len(states.qpos) == episode.steps + 1 and states.qpos[0].shape == (10,)
 
 
 def test_who_cannot_play_is_named():

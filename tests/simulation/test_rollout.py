@@ -12,7 +12,8 @@ from toolkit.demonstrations.scripts import PickScript
 from toolkit.errors import ToolkitError
 from toolkit.simulation.divergence import Divergence, replay
 from toolkit.simulation.laws import merged_plant
-from toolkit.simulation.rollout import RolloutEngine, Tape, play
+from toolkit.simulation.rollout import RolloutEngine, play
+from toolkit.simulation.watching import States
 
 FIELDS = (
     "observations",
@@ -95,14 +96,14 @@ def test_an_episode_records_what_was_seen_and_done(engine, reference, space):
         assert episode.steps <= engine.merged.task.horizon
 
 
-def test_a_tape_shows_the_episode_that_was_played(engine, space):
+def test_a_watcher_sees_the_episode_that_was_played(engine, space):
     alpha = space.beta("kinova3")
     (episode,) = engine.play(noisy, [alpha], [5])
     model, data = engine.merged.new()
-    tape = Tape(qpos=[])
-    again = play(merged_plant(engine.merged, alpha, model, data), noisy, 5, alpha, tape)
-    assert len(tape.qpos) == episode.steps + 1 and again.success == episode.success
-    assert np.array(tape.qpos).shape[1] == model.nq
+    states = States()
+    again = play(merged_plant(engine.merged, alpha, model, data), noisy, 5, alpha, states)
+    assert len(states.qpos) == episode.steps + 1 and again.success == episode.success
+    assert np.array(states.qpos).shape[1] == model.nq
 
 
 # -- policies gone mad ---------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.osc import STATE
 from toolkit.simulation.plant import Plant
-from toolkit.simulation.rollout import Actor, RolloutEngine, Tape, play, play_on
+from toolkit.simulation.rollout import Actor, RolloutEngine, play, play_on
 
 STRETCH = 4
 """Control steps that are timed at once: long enough to time, short enough that all racers meet the same load."""
@@ -230,7 +230,7 @@ def _engine_time(plant: Plant, actor: Actor, stretches: Stretches, index: int) -
     _stand(plant, stretches, index)
     rng, observation = np.random.default_rng(0), plant.observe()
     began = time.thread_time()
-    played = play_on(plant, actor, rng, observation, STRETCH, Tape())
+    played = play_on(plant, actor, rng, observation, STRETCH)
     return (time.thread_time() - began) * STRETCH / len(played.rewards)
 
 

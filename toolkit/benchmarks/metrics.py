@@ -19,7 +19,7 @@ from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.build import MergedRobot
 from toolkit.runs.seeds import SENSITIVITY_SEEDS
 from toolkit.simulation.laws import merged_plant
-from toolkit.simulation.rollout import RolloutEngine, Tape, play_on
+from toolkit.simulation.rollout import RolloutEngine, play_on
 
 REACH = 0.1
 """h: far enough for contact to answer, near enough to be local [alpha]."""
@@ -54,7 +54,7 @@ def _course(
     """Observations (T, n_obs) of the mean action on F(alpha)."""
     plant = merged_plant(merged, alpha, model, data)
     first = plant.begin(SENSITIVITY_SEEDS + seed)
-    played = play_on(plant, MeanActor(policy), np.random.default_rng(0), first, STEPS, Tape())
+    played = play_on(plant, MeanActor(policy), np.random.default_rng(0), first, STEPS)
     return np.nan_to_num(np.array([*played.observations, played.observation]))
 
 

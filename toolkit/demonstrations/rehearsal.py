@@ -18,7 +18,8 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 from toolkit.simulation.laws import native_plant
 from toolkit.simulation.plant import CLOSING, Plant
-from toolkit.simulation.rollout import Tape, play
+from toolkit.simulation.rollout import play
+from toolkit.simulation.watching import States
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +181,10 @@ class Studio:
     def trace(self, demonstration: Demonstration) -> Trace:
         """The replay once more, for the viewer."""
         plant = self._plant(demonstration.scene.task)
-        tape = Tape(qpos=[])
+        states = States()
         script = TrackScript(demonstration.track, np.array(demonstration.scene.task.goal_offset), CLOSING)
-        episode = play(plant, script, 0, np.zeros(1), tape)
-        return Trace(plant.model, np.array(tape.qpos), np.array(plant.goal), episode.success)
+        episode = play(plant, script, 0, np.zeros(1), states)
+        return Trace(plant.model, np.array(states.qpos), np.array(plant.goal), episode.success)
 
     def _plant(self, task: PickTask) -> Plant:
         """The robot with a task's object, whatever its goal; one per object, as compiling takes seconds."""

@@ -16,11 +16,12 @@ from robots.robot import Robot
 from tasks.pick import START_ROTATION
 from toolkit.bundle.manifest import Gripper, Response, Vector
 from toolkit.evaluation.stress import GOOD
-from toolkit.learning.policy import GaussianPolicy
+from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.native_scene import NativeScene, role_actuators, role_joints
 from toolkit.simulation.osc import POSITION_SCALE, ROTATION_SCALE
 from toolkit.simulation.plant import CLOSING, Plant
-from toolkit.simulation.rollout import Tape, play, play_on
+from toolkit.simulation.rollout import play, play_on
+from toolkit.simulation.watching import States
 
 RESPONSE_STEPS, RESPONSE_AMPLITUDE = 12, 0.5
 """Policy steps over which an impulse is followed, and its action; beyond, the arm's posture pulls it back."""
@@ -68,6 +69,22 @@ class Played:
     success: float
 
 
+class _Motion(States):
+    """Keeps, besides configurations, as many rows of (arm speeds [rad/s], arm torques [N m], grasp_coordinates)."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        super().__init__()
+        self._scene = NativeScene(model)
+        self._motors = self._scene.arm_actuators
+        self.rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def begun(self, plant: Plant) -> None:
+        super().begun(plant)
+        self.rows.append((plant.data.qvel[self._scene.arm_dofs].copy(), plant.data.ctrl[self._motors].copy(), grasp_coordinates(plant)))
+
+    acted = begun
+
+
 def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, lowest: Callable[[np.ndarray], float]) -> Played:
     """Play episodes and keep what the manifest needs.
 
@@ -78,26 +95,16 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
         noisy: with the exploration noise of training.
         lowest: height [m] of the gripper's lowest point at a configuration (nq,).
     """
-    scene = NativeScene(plant.model)
-    dofs, motors = scene.arm_dofs, scene.arm_actuators
     out, succeeded = Played([], [], [], [], [], [], [], 0.0), 0
     for seed in seeds:
-        rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-
-        def seen(observation: np.ndarray, rng: np.random.Generator, rows: list = rows) -> np.ndarray:
-            rows.append((plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant)))
-            return policy.act(observation, rng) if noisy else policy.mean(observation)
-
-        visited: list[np.ndarray] = []
-        tape = Tape(qpos=visited)
-        episode = play(plant, seen, seed, np.zeros(0), tape)
-        last = (plant.data.qvel[dofs].copy(), plant.data.ctrl[motors].copy(), grasp_coordinates(plant))
-        speeds, efforts, grasp = (np.array(column) for column in zip(*rows, last, strict=True))
+        motion = _Motion(plant.model)
+        episode = play(plant, policy.act if noisy else MeanActor(policy), seed, np.zeros(0), motion)
+        speeds, efforts, grasp = (np.array(column) for column in zip(*motion.rows, strict=True))
         succeeded += episode.success
         for kept, value in (
-            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(visited)),
+            (out.observations, episode.observations), (out.actions, episode.actions), (out.qpos, np.array(motion.qpos)),
             (out.speeds, speeds[1:]), (out.efforts, efforts[1:]), (out.grasp, grasp),
-            (out.heights, np.array([lowest(row) for row in visited])),
+            (out.heights, np.array([lowest(row) for row in motion.qpos])),
         ):
             kept.append(value)
     return replace(out, success=succeeded / len(seeds))
@@ -120,8 +127,8 @@ def borne_start_error(plant: Plant, policy: GaussianPolicy, seeds: list[int], wi
             plant.begin(seed)
             plant.data.qpos[arm] += width * np.random.default_rng((seed, 1)).uniform(-1.0, 1.0, len(arm))
             mujoco.mj_forward(plant.model, plant.data)
-            played = play_on(plant, lambda row, rng: policy.mean(row), np.random.default_rng(seed), plant.observe(),
-                             plant.task.horizon, Tape())
+            played = play_on(plant, MeanActor(policy), np.random.default_rng(seed), plant.observe(),
+                             plant.task.horizon)
             failures += not played.success
             if failures > (1.0 - GOOD) * len(seeds):
                 return borne

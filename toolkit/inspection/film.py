@@ -14,6 +14,7 @@ from tasks.pick import PickTask
 from toolkit.simulation.laws import Drivable
 from toolkit.simulation.plant import CLOSING
 from toolkit.simulation.rollout import Actor, play
+from toolkit.simulation.watching import Watcher
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,56 +100,43 @@ class PickFilm(Film):
         return f"failure: held, but ended {100 * self.distance[-1]:.0f} cm from the goal"
 
 
-class _Watched:
-    """A plant that notes what happens between its steps."""
+class _Recorder(Watcher):
+    """Notes what happens between a robot's steps."""
 
     frames: tuple[str, ...] = ("qpos",)
     """What is noted at the beginning and after every step."""
     steps: tuple[str, ...] = ()
     """What is noted of every step."""
 
-    def __init__(self, plant: Drivable) -> None:
-        self._plant = plant
+    def __init__(self) -> None:
         self.notes: dict[str, list] = {key: [] for key in (*self.frames, *self.steps)}
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._plant, name)
+    def begun(self, plant: Drivable) -> None:
+        self.notes["qpos"].append(np.array(plant.data.qpos))
 
-    def begin(self, seed: int) -> np.ndarray:
-        observation = self._plant.begin(seed)
-        self.note_state()
-        return observation
-
-    def step(self, action: np.ndarray) -> np.ndarray:
-        observation = self._plant.step(action)
-        self.note_state()
-        return observation
-
-    def note_state(self) -> None:
-        """Note what is so now."""
-        self.notes["qpos"].append(np.array(self._plant.data.qpos))
+    def acted(self, plant: Drivable) -> None:
+        self.begun(plant)
 
 
-class _WatchedPick(_Watched):
-    """An arm that picks an object."""
+class _PickRecorder(_Recorder):
+    """Of an arm that picks an object."""
 
     frames = ("qpos", "grasp", "carried")
     steps = ("target", "closing", "points", "forces", "by_robot")
 
-    def step(self, action: np.ndarray) -> np.ndarray:
-        plant = self._plant
+    def begun(self, plant: Any) -> None:
+        super().begun(plant)
+        self.notes["grasp"].append(plant.grasp_position)
+        self.notes["carried"].append(np.array(plant.object_position))
+
+    def acting(self, plant: Any, action: np.ndarray) -> None:
         self.notes["target"].append(plant.aim(action))
-        observation = super().step(action)
+
+    def acted(self, plant: Any) -> None:
+        super().acted(plant)
         self.notes["closing"].append(plant.law.progress(plant.command))
         for key, value in zip(("points", "forces", "by_robot"), contacts_of(plant.model, plant.data, plant.object_body), strict=True):
             self.notes[key].append(value)
-        return observation
-
-    def note_state(self) -> None:
-        """Note what is so now."""
-        super().note_state()
-        self.notes["grasp"].append(self._plant.grasp_position)
-        self.notes["carried"].append(np.array(self._plant.object_position))
 
 
 def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
@@ -158,9 +146,8 @@ def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
         plant, actor, seed, alpha: as the episode had them.
     """
     pick = isinstance(plant.task, PickTask)
-    watched = _WatchedPick(plant) if pick else _Watched(plant)
-    episode = play(watched, actor, seed, alpha)
-    notes = watched.notes
+    recorder = _PickRecorder() if pick else _Recorder()
+    episode, notes = play(plant, actor, seed, alpha, recorder), recorder.notes
     sound = int(np.isfinite(np.array(notes["qpos"])).all(axis=1).cumprod().sum())  # frames before the first that is not finite
     frames = max(1, min(sound, episode.steps + 1))
     array: Callable[[str, int], np.ndarray] = lambda key, count: np.array(notes[key][:count])  # noqa: E731

@@ -15,6 +15,7 @@ from toolkit.errors import ToolkitError
 from toolkit.morphology.family import MergedModel
 from toolkit.simulation.osc import STATE
 from toolkit.simulation.plant import blew_up
+from toolkit.simulation.watching import Watcher
 
 
 class ModelPlant:
@@ -132,25 +133,28 @@ class GymnasiumRobot:
         self.scene.begin(np.random.default_rng(seed))
         return self.scene.observe()
 
-    def play(self, act: Callable[[np.ndarray], np.ndarray], seed: int, trace: list | None = None, native: bool = False) -> bool:
+    def play(
+        self, act: Callable[[np.ndarray], np.ndarray], seed: int, watcher: Watcher | None = None, native: bool = False
+    ) -> bool:
         """One episode with a deterministic policy; returns whether the task succeeded.
 
         Args:
             act: observation (n_obs,) -> action (n_act,).
             seed: of the start.
-            trace: if given, qpos (nq,) is appended at every step.
+            watcher: told of every step.
             native: there is no other action than the environment's own.
         """
-        observation, judge = self.begin(seed), self.task.judge()
+        observation, judge, told = self.begin(seed), self.task.judge(), watcher or Watcher()
         succeeded = False
+        told.begun(self)
         for _ in range(self.task.horizon):
-            if trace is not None:
-                trace.append(np.array(self.data.qpos))
             action = np.asarray(act(observation))
             if not np.isfinite(action).all():
                 self.diverged = True
                 break
+            told.acting(self, action)
             _, _, terminated, truncated, _ = self.env.step(action)
+            told.acted(self)
             observation = self.scene.observe()
             self.diverged = blew_up(self.data) or not np.isfinite(observation).all()
             if self.diverged:
@@ -158,6 +162,5 @@ class GymnasiumRobot:
             succeeded = judge.tell(self.scene.at_goal())
             if succeeded or self.scene.lost() or terminated or truncated:
                 break
-        if trace is not None:
-            trace.append(np.array(self.data.qpos))
+        told.ended(self, self.diverged)
         return succeeded and not self.diverged

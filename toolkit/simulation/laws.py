@@ -15,6 +15,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.simulation.actuators import GymnasiumRobot, merged_model_plant, native_model_plant
 from toolkit.simulation.native import NativeRobot
 from toolkit.simulation.plant import Plant, merged_arm_plant, native_arm_plant
+from toolkit.simulation.watching import Watcher
 
 
 class Drivable(Protocol):
@@ -75,7 +76,9 @@ class Playable(Protocol):
 
     def begin(self, seed: int) -> np.ndarray: ...
 
-    def play(self, act: Callable[[np.ndarray], np.ndarray], seed: int, trace: list | None = None, native: bool = False) -> bool: ...
+    def play(
+        self, act: Callable[[np.ndarray], np.ndarray], seed: int, watcher: Watcher | None = None, native: bool = False
+    ) -> bool: ...
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from toolkit.morphology.native_scene import NativeScene, role_actuators
 from toolkit.morphology.posture import native_env
 from toolkit.simulation.osc import silence_warnings
 from toolkit.simulation.plant import CLOSING, blew_up, command_law, finger_map
+from toolkit.simulation.watching import Watcher
 
 
 class NativeRobot:
@@ -89,28 +90,28 @@ class NativeRobot:
         )
 
     def play(
-        self, act: Callable[[np.ndarray], np.ndarray], seed: int, trace: list | None = None, native: bool = False
+        self, act: Callable[[np.ndarray], np.ndarray], seed: int, watcher: Watcher | None = None, native: bool = False
     ) -> bool:
         """One episode with a deterministic policy; returns whether the task succeeded.
 
         Args:
             act: observation (n_obs,) -> action of the record (n_act,), or robosuite's own action if ``native``.
             seed: of the start.
-            trace: if given, qpos (nq,) is appended at every step.
+            watcher: told of every step.
             native: see ``act``.
         """
-        step = self.apply if native else self.step
+        step, told = self.apply if native else self.step, watcher or Watcher()
         observation = self.begin(seed)
+        told.begun(self)
         for _ in range(self.task.horizon):
-            if trace is not None:
-                trace.append(np.array(self.data.qpos))
             action = np.asarray(act(observation))
             if not np.isfinite(action).all():  # robosuite would hand it to its controller, which cannot solve with it
                 self.diverged = True
                 break
+            told.acting(self, action)
             observation = step(action)
+            told.acted(self)
             if self.diverged or self.env.succeeded or self.env.lost:
                 break
-        if trace is not None:
-            trace.append(np.array(self.data.qpos))
+        told.ended(self, self.diverged)
         return bool(self.env.succeeded) and not self.diverged

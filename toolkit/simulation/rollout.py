@@ -22,25 +22,33 @@ from toolkit.simulation.divergence import Divergence
 from toolkit.simulation.laws import Drivable, merged_plant, native_plant
 from toolkit.simulation.osc import silence_warnings
 from toolkit.simulation.plant import all_finite
+from toolkit.simulation.watching import Watcher
 
 Actor = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 """(observation (n_obs,), rng) -> action (n_act,)."""
 
 
-@dataclass
-class Tape:
-    """What an episode leaves besides its Episode, for those who ask.
+class LastStep(Watcher):
+    """Keeps what a simulation that blew up can be played again from.
 
     Attributes:
-        qpos: None, or a list to which (nq,) is added before every policy step and at the end.
-        broken: (state, command) before the policy step that blew up; see Divergence.
+        broken: (state, command) before the policy step that blew up; see Divergence. None: it did not.
     """
 
-    qpos: list[np.ndarray] | None = None
-    broken: tuple[np.ndarray, np.ndarray] | None = None
+    def __init__(self) -> None:
+        self.broken: tuple[np.ndarray, np.ndarray] | None = None
+        self._command = np.zeros(0)
+
+    def acting(self, plant: Drivable, action: np.ndarray) -> None:
+        """See Watcher."""
+        self._command = plant.command
+
+    def ended(self, plant: Drivable, diverged: bool) -> None:
+        """See Watcher."""
+        self.broken = (plant.before.copy(), self._command) if diverged else None
 
 
-def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape | None = None) -> Episode:
+def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, watcher: Watcher | None = None) -> Episode:
     """One episode.
 
     The seed fixes the start and the actor's noise. It ends with success (the goal met for the task's hold_steps; reward 1 on that step, 0
@@ -51,10 +59,9 @@ def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, tape: Tape
         actor: the policy.
         seed: non-negative.
         alpha: (D,) recorded with the episode.
-        tape: filled if given.
+        watcher: told of every step.
     """
-    tape = Tape() if tape is None else tape
-    played = play_on(plant, actor, np.random.default_rng((seed, 1)), plant.begin(seed), plant.task.horizon, tape)
+    played = play_on(plant, actor, np.random.default_rng((seed, 1)), plant.begin(seed), plant.task.horizon, watcher)
     observation = np.nan_to_num(played.observation, nan=0.0, posinf=0.0, neginf=0.0) if played.diverged else played.observation
     return Episode(
         observations=np.array(played.observations), actions=np.array(played.actions), rewards=np.array(played.rewards),
@@ -77,27 +84,24 @@ class Stretch:
 
 
 def play_on(
-    plant: Drivable, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, tape: Tape
+    plant: Drivable, actor: Actor, rng: np.random.Generator, observation: np.ndarray, steps: int, watcher: Watcher | None = None
 ) -> Stretch:
     """Play from where the plant stands: at most ``steps`` policy steps, ending as an episode does; see ``play``."""
-    judge, data = plant.task.judge(), plant.data
-    out = Stretch(observation)
+    judge, told, out = plant.task.judge(), watcher or Watcher(), Stretch(observation)
+    told.begun(plant)
     while len(out.rewards) < steps and not out.terminated:
         action = np.asarray(actor(observation, rng), float)
         out.observations.append(observation)
         out.actions.append(action)
-        command = plant.command
-        if tape.qpos is not None:
-            tape.qpos.append(np.array(data.qpos))
+        told.acting(plant, action)
         observation = plant.step(action)
+        told.acted(plant)
         out.diverged = plant.diverged or not all_finite(action, observation)
         out.success = not out.diverged and judge.tell(plant.at_goal)
         out.terminated = out.success or out.diverged or plant.lost
         out.rewards.append(float(out.success))
     out.observation = observation
-    if tape.qpos is not None:
-        tape.qpos.append(np.array(data.qpos))
-    tape.broken = (plant.before.copy(), command) if out.diverged else None
+    told.ended(plant, out.diverged)
     return out
 
 
@@ -133,16 +137,16 @@ class Engine:
         """One episode, and how its simulation blew up if it did: a function of what is given, wherever and whenever it is played."""
         borrowed = self._idle.get()
         try:
-            plant, tape = self._plant(borrowed, alpha), Tape()
-            episode = play(plant, actor, seed, alpha, tape)
-            return episode, self._divergence(episode, plant, tape)
+            plant, last = self._plant(borrowed, alpha), LastStep()
+            episode = play(plant, actor, seed, alpha, last)
+            return episode, self._divergence(episode, plant, last)
         finally:
             self._idle.put(borrowed)
 
-    def _divergence(self, episode: Episode, plant: Drivable, tape: Tape) -> Divergence | None:
-        if tape.broken is None:
+    def _divergence(self, episode: Episode, plant: Drivable, last: LastStep) -> Divergence | None:
+        if last.broken is None:
             return None
-        state, command = tape.broken
+        state, command = last.broken
         return Divergence(seed=episode.seed, alpha=episode.alpha, state=state, command=command, goal=plant.goal,
                           actions=episode.actions, **self._scene())
 
