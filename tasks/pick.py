@@ -6,6 +6,7 @@ rollouts; they use nothing but NumPy so that they can be compiled.
 
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from grippers.gripper import COMMANDED_ROLES
 from tasks.objects import OBJECTS, PickObject
 from tasks.record import Entry, Record
 from tasks.task import Task
+
+if TYPE_CHECKING:
+    import mujoco
 
 TABLE_TOP = 0.8
 """Height [m] of the table's surface above the floor: robosuite's table arena."""
@@ -103,6 +107,18 @@ class PickTask(Task):
     def miss(self, observation: np.ndarray) -> float:
         """Distance [m] from the object to the goal."""
         return float(np.linalg.norm(observation[OBSERVATION.slice("goal_from_object")]))
+
+    def add_furniture(self, spec: "mujoco.MjSpec") -> None:
+        """Add what stands around the robot to a scene that is being built, before the robot."""
+        from tasks.table import add_table
+
+        add_table(spec)
+
+    def add_object(self, spec: "mujoco.MjSpec") -> None:
+        """Add what the robot moves, after it: a body "object" on a free joint of that name."""
+        from tasks.table import add_object
+
+        add_object(spec, self.object)
 
     def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Start of an episode.

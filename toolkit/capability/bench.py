@@ -11,8 +11,9 @@ import numpy as np
 
 from grippers.gripper import COMMANDED_ROLES
 from tasks.pick import ACTION_SIZE, START_POSITION, START_ROTATION
+from tasks.table import HAND_BIT
 from toolkit.demonstrations.scripts import PickScript, pick_script
-from toolkit.morphology.build import HAND_BIT, MergedRobot
+from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.linkage import BOX_HALF_SIZE, SETTLED, closed_on_box
 from toolkit.runs.seeds import SCRIPT_SEEDS
 from toolkit.simulation.laws import merged_plant

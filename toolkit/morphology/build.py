@@ -9,17 +9,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from tasks.pick import (
-    OBJECT_MARGIN,
-    OBJECT_SOLREF,
-    OBJECT_XY,
-    START_POSITION,
-    START_ROTATION,
-    TABLE_FRICTION,
-    TABLE_FULL_SIZE,
-    TABLE_TOP,
-    PickTask,
-)
+from tasks.pick import START_POSITION, START_ROTATION, PickTask
+from tasks.table import HAND_BIT
 from toolkit.errors import ToolkitError
 from toolkit.morphology.arithmetic import bones, directions, finger_tips, principal, quaternion, turned
 from toolkit.morphology.grasp import Course, GraspLaw
@@ -68,8 +59,6 @@ WAKING = 0.2
 """Presence over which, from TOUCHES on, a geom comes to count for where its finger meets an object."""
 BONE_RADIUS = {"arm": 0.04, "finger": 0.006}
 """Radius [m] of the visual bones between joints."""
-HAND_BIT, OBJECT_BIT = 2, 1
-"""Contact bits: the hand touches object and table, object and table touch each other, the hand never itself."""
 
 
 def _span(ids: Sequence[int] | np.ndarray) -> np.ndarray | slice:
@@ -83,7 +72,7 @@ class MergedRobot:
 
     Args:
         space: the evolution space.
-        task: what lies on the table.
+        task: whose furniture and object are in the scene.
 
     Attributes:
         template: the model compiled at the source; never stepped, only copied.
@@ -218,30 +207,20 @@ class MergedRobot:
         spec = mujoco.MjSpec()
         spec.modelname = "merged"
         spec.compiler.degree = False
-        # robosuite 1.5.1, base.xml and table arena.
+        # robosuite 1.5.1, base.xml.
         spec.option.timestep, spec.option.impratio = 0.002, 20.0
         spec.option.density, spec.option.viscosity = 1.2, 2e-5
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         # Bounding-volume trees of bodies are compiled; few geoms per body make them useless, and F would have to mend them.
         spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_MIDPHASE
-        self._add_table(spec)
+        self.task.add_furniture(spec)
         bodies = self._add_links(spec, p)
         self._add_shapes(bodies, p)
         self._add_actuators(spec, p)
         self._add_couplings(spec, p)
         self._add_curves(spec, p)
-        self._add_object(spec)
+        self.task.add_object(spec)
         return spec
-
-    @staticmethod
-    def _add_table(spec: mujoco.MjSpec) -> None:
-        half = np.array(TABLE_FULL_SIZE) / 2
-        spec.worldbody.add_geom(
-            name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, TABLE_TOP - half[2]],
-            friction=TABLE_FRICTION, contype=OBJECT_BIT, conaffinity=OBJECT_BIT | HAND_BIT, group=1,
-            rgba=[0.75, 0.72, 0.68, 1],
-        )
-        spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
 
     def _add_links(self, spec: mujoco.MjSpec, p: Patch) -> list:
         bodies: list[mujoco.MjsBody] = []
@@ -321,18 +300,6 @@ class MergedRobot:
             )
             equality.data[:5] = (0.0, *p.curve[i], 0.0, 0.0)
             equality.solimp[:2] = SOFT
-
-    def _add_object(self, spec: mujoco.MjSpec) -> None:
-        item = self.task.object
-        body = spec.worldbody.add_body(name="object", pos=[*OBJECT_XY, TABLE_TOP + item.half_height])
-        body.add_freejoint(name="object")
-        kind = mujoco.mjtGeom.mjGEOM_BOX if item.shape == "box" else mujoco.mjtGeom.mjGEOM_CYLINDER
-        size = [*item.half_size, *([0.0] * (3 - len(item.half_size)))]
-        body.add_geom(
-            name="object", type=kind, size=size, density=item.mass / item.volume, friction=item.friction,
-            solref=OBJECT_SOLREF, margin=OBJECT_MARGIN[item.shape], contype=OBJECT_BIT,
-            conaffinity=OBJECT_BIT | HAND_BIT, group=1, rgba=[0.8, 0.25, 0.2, 1],
-        )
 
     def compile(self, alpha: np.ndarray) -> mujoco.MjModel:
         """A model compiled from scratch at ``alpha`` (D,).

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, slides
 from robots.robot import Robot
-from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.morphology.linkage import Linkage, closed_on_box, equivalent_linkages
 from toolkit.morphology.native_scene import (
@@ -31,7 +30,7 @@ from toolkit.morphology.native_scene import (
     role_joints,
     welded_bodies,
 )
-from toolkit.morphology.posture import native_env, target_at
+from toolkit.morphology.posture import NOMINAL_TASK, native_env, target_at
 from toolkit.morphology.proposal import ALONE, Finger, align, pair_cost, propose_roles
 from toolkit.morphology.tree import KinematicTree, Screw
 
@@ -507,7 +506,7 @@ def read(robot: Robot) -> Reading:
     Raises:
         ToolkitError: the card names what the models lack, or the robot cannot start where the task asks.
     """
-    env = native_env(robot, TASKS["061_foam_brick"])
+    env = native_env(robot, NOMINAL_TASK)
     env.begin(0)
     model, data = env.sim.model._model, env.sim.data._data
     mujoco.mj_forward(model, data)

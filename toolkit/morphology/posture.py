@@ -8,6 +8,7 @@ import numpy as np
 
 from robots.robot import Robot
 from tasks.env import Pick, Start
+from tasks.objects import OBJECTS
 from tasks.pick import START_POSITION, START_ROTATION, PickTask
 from toolkit.errors import ToolkitError
 from toolkit.morphology.native_scene import GRIP_SITE, NativeScene, role_actuators
@@ -15,6 +16,8 @@ from toolkit.morphology.validation import compiler_complaint, require_valid
 
 SETTLING_TIME = 2.0
 """Time [s] that a gripper is given to come to rest at its preshape."""
+NOMINAL_TASK = PickTask(OBJECTS["061_foam_brick"])
+"""In whose scene robots are read; start postures are alike in all."""
 
 
 def target_at(robot: Robot, role: str, command: float) -> float:
@@ -67,12 +70,6 @@ def _settle_gripper(model: mujoco.MjModel, qpos: np.ndarray, robot: Robot) -> tu
     return np.array(data.qpos), np.array(data.ctrl)
 
 
-def _nominal_task() -> PickTask:
-    from tasks import TASKS
-
-    return TASKS["061_foam_brick"]
-
-
 @lru_cache(maxsize=32)
 def start_of(robot: Robot) -> Start:
     """The robot's start: arm posture by inverse kinematics, gripper settled at its preshape.
@@ -82,7 +79,7 @@ def start_of(robot: Robot) -> Start:
     """
     require_valid(robot)
     try:
-        env = Pick(robot, _nominal_task(), Start(arm=np.array(robot.posture_seed)))
+        env = Pick(robot, NOMINAL_TASK, Start(arm=np.array(robot.posture_seed)))
     except ValueError as error:
         raise compiler_complaint(robot, error) from error
     model, data = env.sim.model._model, env.sim.data._data
