@@ -8,31 +8,71 @@ which role. Roles that it does not name are absent: in its merged robot they are
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-# role -> parent role (None: the palm). Fingers: FF index, MF middle, RF ring, LF little, TH thumb.
-# J-numbers are ADROIT's, distal joints have the small ones; S is a jaw's slide, which carries the whole finger; K is the
-# inner knuckle of a four-bar linkage.
+
+@dataclass(frozen=True)
+class Digit:
+    """A finger or the thumb of the merged hand, and which of its roles does what.
+
+    Attributes:
+        name: its element in the evolution space.  title: in words, as people's fingers are called.
+        joints: commanded roles, base to tip; the policy has one action entry for each, -1 open, +1 closed (robosuite's sign).
+        flexion: of these, what closes it most.
+        pad: of these, the joint of the link whose shapes face the object: a jaw's pad, a finger's last link but one.
+        slide: role on whose axis [m] a jaw travels, carrying the whole digit.  knuckle: role of a four-bar linkage's passive inner
+            knuckle. None: no gripper here has it.
+        opposes: whether it closes against the others.
+    """
+
+    name: str
+    title: str
+    joints: tuple[str, ...]
+    flexion: str
+    pad: str
+    slide: str | None = None
+    knuckle: str | None = None
+    opposes: bool = False
+
+    @property
+    def tip(self) -> str:
+        """Role of the outermost joint."""
+        return self.joints[-1]
+
+    @property
+    def chain(self) -> tuple[str, ...]:
+        """Its roles one upon another, from the palm to the tip; the inner knuckle stands beside them."""
+        return self.joints if self.slide is None else (self.slide, *self.joints)
+
+
+DIGITS: tuple[Digit, ...] = (
+    Digit("FF", "index", ("FFJ3", "FFJ2", "FFJ1", "FFJ0"), flexion="FFJ2", pad="FFJ1", slide="FFS", knuckle="FFK"),
+    Digit("MF", "middle", ("MFJ3", "MFJ2", "MFJ1", "MFJ0"), flexion="MFJ2", pad="MFJ1"),
+    Digit("RF", "ring", ("RFJ3", "RFJ2", "RFJ1", "RFJ0"), flexion="RFJ2", pad="RFJ1"),
+    Digit("LF", "little", ("LFJ4", "LFJ3", "LFJ2", "LFJ1", "LFJ0"), flexion="LFJ2", pad="LFJ1"),
+    Digit("TH", "thumb", ("THJ4", "THJ3", "THJ2", "THJ1", "THJ0"), flexion="THJ4", pad="THJ1", slide="THS", knuckle="THK", opposes=True),
+)
+"""The merged hand: ADROIT's digits and their joints by its names."""
+INDEX, THUMB = DIGITS[0], DIGITS[-1]
+KNUCKLES: tuple[str, ...] = tuple(digit.knuckle for digit in DIGITS if digit.knuckle is not None)
+"""Passive roles."""
+SLIDES: tuple[str, ...] = tuple(digit.slide for digit in DIGITS if digit.slide is not None)
+"""Roles that are slides [m] rather than hinges [rad]."""
+
 ROLE_PARENT: dict[str, str | None] = {
-    "FFS": None, "FFJ3": "FFS", "FFJ2": "FFJ3", "FFJ1": "FFJ2", "FFJ0": "FFJ1",
-    "MFJ3": None, "MFJ2": "MFJ3", "MFJ1": "MFJ2", "MFJ0": "MFJ1",
-    "RFJ3": None, "RFJ2": "RFJ3", "RFJ1": "RFJ2", "RFJ0": "RFJ1",
-    "LFJ4": None, "LFJ3": "LFJ4", "LFJ2": "LFJ3", "LFJ1": "LFJ2", "LFJ0": "LFJ1",
-    "THS": None, "THJ4": "THS", "THJ3": "THJ4", "THJ2": "THJ3", "THJ1": "THJ2", "THJ0": "THJ1",
-    "FFK": None, "THK": None,
-}
+    role: parent for digit in DIGITS for role, parent in zip(digit.chain, (None, *digit.chain[:-1]), strict=True)
+} | dict.fromkeys(KNUCKLES)
+"""Role -> the role that carries it; None: the palm."""
 ROLES: tuple[str, ...] = tuple(ROLE_PARENT)
 """Roles, parents first."""
+DIGIT_OF: dict[str, Digit] = {role: digit for digit in DIGITS for role in (*digit.chain, digit.knuckle) if role is not None}
+"""Role -> its digit."""
 
-COMMANDED_ROLES: tuple[str, ...] = tuple(role for role in ROLES if role[2] == "J")
-"""Roles that the policy commands: one action entry each, -1 open, +1 closed (robosuite's sign)."""
+COMMANDED_ROLES: tuple[str, ...] = tuple(role for digit in DIGITS for role in digit.joints)
+"""Roles that the policy commands."""
 
-ROLE_COMMAND: dict[str, str] = {role: role for role in COMMANDED_ROLES} | {"FFS": "FFJ2", "THS": "THJ4"}
+ROLE_COMMAND: dict[str, str] = {role: role for role in COMMANDED_ROLES} | {
+    digit.slide: digit.flexion for digit in DIGITS if digit.slide is not None
+}
 """Role that an actuator can drive -> commanded role that it follows: a jaw slides by what flexes its finger."""
-
-
-def slides(role: str) -> bool:
-    """Whether a role's joint is a slide [m] rather than a hinge [rad]."""
-    return role.endswith("S")
-
 
 ROLE_SENSE: dict[str, tuple[float, float, float]] = {
     "FFJ1": (1, 0, 0), "MFJ1": (1, 0, 0), "RFJ1": (1, 0, 0), "THJ1": (1, 0, 0), "FFK": (1, 0, 0), "THK": (-1, 0, 0),
@@ -40,7 +80,7 @@ ROLE_SENSE: dict[str, tuple[float, float, float]] = {
 """Positive sense of roles that no actuator closes: the world direction, at the start posture, on whose side the joint's
 axis lies when its angle counts as positive. Driven roles count positive in the closing sense."""
 
-CLOSING_ROLES: tuple[str, ...] = ("FFJ2", "FFJ1", "THJ4", "THJ1")
+CLOSING_ROLES: tuple[str, ...] = tuple(role for digit in (INDEX, THUMB) for role in (digit.flexion, digit.pad))
 """Roles whose mean command is the one closing command of a gripper: the flexion of index and thumb."""
 
 

@@ -16,7 +16,7 @@ from tasks.dexycb.standin import SERIALS, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
 from toolkit.demonstrations.rehearsal import Dropped, Studio, teachers_for
-from toolkit.demonstrations.retargeting import PREFIX, REACHABLE, HandModel, touching
+from toolkit.demonstrations.retargeting import DIGIT, REACHABLE, HandModel, touching
 from toolkit.demonstrations.scripts import entry
 from toolkit.demonstrations.tracks import Track, TrackScript, _stretch
 from toolkit.errors import ToolkitError
@@ -103,7 +103,7 @@ def test_touching_fingers_are_told_to_close(demonstration):
     assert np.abs(motion.commands).max() <= 1.0
     at = int(np.searchsorted(motion.frames, scene.grasped))
     for finger in ("thumb", "index", "middle"):
-        mine = motion.commands[at][[role.startswith(PREFIX[finger]) for role in COMMANDED_ROLES]]
+        mine = motion.commands[at][[role in DIGIT[finger].joints for role in COMMANDED_ROLES]]
         np.testing.assert_allclose(mine, 1.0, atol=1e-9, err_msg=finger)
     early = motion.commands[0][CLOSING].mean()
     assert early < -0.3, f"the hand comes with its closing at {early:.2f}"

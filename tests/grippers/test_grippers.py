@@ -11,7 +11,7 @@ from robosuite.models.grippers import GRIPPER_MAPPING
 
 from grippers import GRIPPERS
 from grippers.adroit import ADROIT, AdroitHand, asset_path
-from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, ROLE_PARENT, ROLES
+from grippers.gripper import CLOSING_ROLES, COMMANDED_ROLES, DIGITS, ROLE_PARENT, ROLES
 from robots import ROBOTS
 from toolkit.morphology.native_scene import GRIPPER_PREFIX, role_actuators, role_joints
 from toolkit.morphology.posture import target_at
@@ -57,6 +57,27 @@ def test_adroits_joints_are_the_originals(hand, original, field):
         mine = getattr(hand, field)[hand.joint(GRIPPER_PREFIX + role).id]
         theirs = getattr(original, field)[original.joint(role).id]
         np.testing.assert_array_equal(mine, theirs, err_msg=f"{role} {field}")
+
+
+def test_the_merged_hands_digits_are_adroits_chains(original):
+    """Read from the original's bodies: whose joint is above whose, and which is outermost."""
+    fingers = {int(original.joint(role).id): role for role in COMMANDED_ROLES}
+    above = {}
+    for joint, role in fingers.items():
+        body = int(original.jnt_bodyid[joint])
+        while body and (body == original.jnt_bodyid[joint] or not set(range(original.njnt)[_joints(original, body)]) & set(fingers)):
+            body = int(original.body_parentid[body])
+        above[role] = None if not body else fingers[int(original.body_jntadr[body])]
+    assert {role for role, parent in above.items() if parent is None} == {digit.joints[0] for digit in DIGITS}
+    for digit in DIGITS:
+        assert [above[role] for role in digit.joints[1:]] == list(digit.joints[:-1])
+        assert {digit.flexion, digit.pad, digit.tip} <= set(digit.joints) and digit.tip not in above.values()
+        assert not digit.slide or (ROLE_PARENT[digit.joints[0]], ROLE_PARENT[digit.slide]) == (digit.slide, None)
+    assert [digit.title for digit in DIGITS if digit.opposes] == ["thumb"]
+
+
+def _joints(model, body):
+    return slice(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]) if model.body_jntnum[body] else slice(0, 0)
 
 
 @pytest.mark.parametrize("field", ["dof_damping", "dof_armature"])

@@ -12,7 +12,7 @@ from time import perf_counter
 import mujoco
 import numpy as np
 
-from grippers.gripper import COMMANDED_ROLES, ROLE_COMMAND, ROLES
+from grippers.gripper import COMMANDED_ROLES, DIGIT_OF, ROLE_COMMAND, ROLES
 from robots.robot import Robot
 from tasks.pick import ACTION_SIZE, PickTask
 from toolkit.errors import ToolkitError
@@ -99,7 +99,7 @@ class Side:
 def _last_role(robot: Robot, finger: str) -> str | None:
     """The outermost link of a finger that the robot has; inner knuckles apart."""
     own = (*robot.gripper.joints, *robot.gripper.welded)
-    roles = [role for role in ROLES if role.startswith(finger) and not role.endswith("K") and role in own]
+    roles = [role for role in ROLES if DIGIT_OF[role].name == finger and role in DIGIT_OF[role].chain and role in own]
     return roles[-1] if roles else None
 
 
@@ -119,8 +119,8 @@ def _native_side(robot: Robot, task: PickTask) -> Side:
         ]
         if geoms:
             pads[finger] = geoms[-1]
-    thumb = [body for role, body in body_of.items() if role.startswith("TH")]
-    others = [body for role, body in body_of.items() if not role.startswith("TH")]
+    thumb = [body for role, body in body_of.items() if DIGIT_OF[role].opposes]
+    others = [body for role, body in body_of.items() if not DIGIT_OF[role].opposes]
     jaws = (np.isin(np.arange(model.nbody), thumb), np.isin(np.arange(model.nbody), others))
     fingers = [actuators[role] for role in robot.gripper.targets]
     scene = NativeScene(model)

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from grippers.gripper import COMMANDED_ROLES
+from grippers.gripper import COMMANDED_ROLES, THUMB
 from tasks.pick import ACTION_SIZE, START_POSITION, START_ROTATION
 from tasks.table import HAND_BIT
 from toolkit.demonstrations.scripts import PickScript, pick_script
@@ -118,7 +118,7 @@ class Bench:
         self._arm = [self._model.joint(slot.name).id for slot in slots[: matching.arm_size]]
         self._fingers = [self._model.actuator(slots[i].name).id for i in merged.driven]
         self._item = self._model.body("object").id
-        thumbs = {slot.name for slot in slots if slot.element == "TH"}
+        thumbs = {slot.name for slot in slots if slot.element == THUMB.name}
         fingers = {slot.name for slot in slots[matching.arm_size :]} - thumbs
         names = [self._model.body(int(body)).name for body in self._model.geom_bodyid]
         self._of_thumb = np.array([name in thumbs for name in names])

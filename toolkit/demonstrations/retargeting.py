@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from robosuite.models.grippers import gripper_factory
 
-from grippers.gripper import COMMANDED_ROLES
+from grippers.gripper import COMMANDED_ROLES, DIGITS, INDEX
 from robots.robot import Robot
 from tasks.dexycb.recording import FINGERS, JOINT_NAMES, Recording
 from tasks.dexycb.scene import Scene
@@ -25,8 +25,8 @@ from tasks.pick import START_ROTATION
 from toolkit.demonstrations.tracks import Track
 from toolkit.errors import ToolkitError
 
-PREFIX = {"thumb": "TH", "index": "FF", "middle": "MF", "ring": "RF", "little": "LF"}
-"""Roles of a finger's joints begin so."""
+DIGIT = {digit.title: digit for digit in DIGITS}
+"""The merged hand's digit of each finger of people's hands."""
 TIP_COST, MIDDLE_COST, PALM_COST, POSTURE_COST = 1.0, 0.2, (0.2, 0.1), 1e-3
 """Weights: fingertips are where contact happens; the palm's is of its position and, per radian, of its rotation."""
 HELD_COST = (10.0, 2.0)
@@ -90,7 +90,7 @@ class HandModel:
         gripper = gripper_factory(robot.gripper.robosuite_type)
         self._prefix = gripper.naming_prefix
         self.gripper = robot.gripper
-        tips = {finger: f"{PREFIX[finger]}J0" for finger in FINGERS}
+        tips = {finger: DIGIT[finger].tip for finger in FINGERS}
         missing = [role for role in tips.values() if role not in robot.gripper.joints]
         if missing:
             raise ToolkitError(f"gripper {robot.gripper.name} has no joint {missing[0]}; recordings of hands need a hand with five fingers")
@@ -107,21 +107,21 @@ class HandModel:
         self.item, self.model = item, spec.compile()
         self._joint = {role: self.model.joint(self._prefix + name) for role, name in robot.gripper.joints.items()}
         self._body = {role: int(joint.bodyid[0]) for role, joint in self._joint.items()}
-        palm = int(self.model.body_parentid[self._body["FFJ3"]])
+        palm = int(self.model.body_parentid[self._body[INDEX.joints[0]]])
         self._palm = self.model.body(palm).name
-        self._roles = {finger: np.array([role.startswith(PREFIX[finger]) for role in COMMANDED_ROLES]) for finger in FINGERS}
+        self._roles = {finger: np.array([role in DIGIT[finger].chain for role in COMMANDED_ROLES]) for finger in FINGERS}
         self._solid = self._solid_geoms()
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
-        knuckles = [data.xpos[self._body[f"{PREFIX[finger]}J2"]] for finger in FINGERS[1:]]
+        knuckles = [data.xpos[self._body[DIGIT[finger].flexion]] for finger in FINGERS[1:]]
         # Wrist and knuckles in the palm's axes, as the recorded ones are fitted.
         self._palm_points = (np.array([data.xpos[palm], *knuckles]) - data.xpos[palm]) @ data.xmat[palm].reshape(3, 3)
         self._site = self.model.site(self._prefix + "grip_site").id
-        self._middle = {finger: self.model.body(self._body[f"{PREFIX[finger]}J1"]).name for finger in FINGERS}
+        self._middle = {finger: self.model.body(self._body[DIGIT[finger].pad]).name for finger in FINGERS}
 
     def _solid_geoms(self) -> dict[int, str]:
         """Geoms of the hand that collide, each with its finger or "palm"."""
-        part = {self._body[role]: finger for finger in FINGERS for role in self._body if role.startswith(PREFIX[finger])}
+        part = {self._body[role]: finger for finger in FINGERS for role in self._body if role in DIGIT[finger].chain}
         out = {}
         for geom in np.flatnonzero(self.model.geom_contype):
             body = int(self.model.geom_bodyid[geom])

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grippers.gripper import COMMANDED_ROLES
+from grippers.gripper import COMMANDED_ROLES, DIGIT_OF
 from robots.robot import Robot
 from tasks.pick import START_ROTATION
 from toolkit.bundle.manifest import Gripper, Response, Vector
@@ -202,7 +202,7 @@ def measure_gripper(robot: Robot, plant: Plant) -> Gripper:
     item = int(model.jnt_qposadr[scene.object_joint])
     data.qpos[item : item + 3] = (3.0, 3.0, 1.0)
     joints, actuators = role_joints(model, robot), role_actuators(model, robot)
-    outer = {side: _outermost(model, [joint for role, joint in joints.items() if role.startswith("TH") == (side == "thumb")])
+    outer = {side: _outermost(model, [joint for role, joint in joints.items() if DIGIT_OF[role].opposes == (side == "thumb")])
              for side in ("thumb", "fingers")}
     commands = np.linspace(-1.0, 1.0, GRIPPER_COMMANDS)
     openings, angles = [], []

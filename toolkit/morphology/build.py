@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from grippers.gripper import ROLE_COMMAND
 from tasks.pick import START_POSITION, START_ROTATION, PickTask
 from tasks.table import HAND_BIT
 from toolkit.errors import ToolkitError
@@ -84,7 +85,7 @@ class MergedRobot:
         self._parents = np.array([slot.parent for slot in slots])
         self._roots = np.flatnonzero(self._parents < 0)
         self._arm = space.matching.arm_size
-        self.driven = [i for i in range(self._arm, len(slots)) if not slots[i].name.endswith("K")]
+        self.driven = [i for i in range(self._arm, len(slots)) if slots[i].name in ROLE_COMMAND]
         self._shape_slot = np.array([s.slot for s in space.shape_slots])
         slim = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
         two = np.array([s.kind in slim for s in space.shape_slots])

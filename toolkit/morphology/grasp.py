@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from grippers.gripper import slides
+from grippers.gripper import DIGIT_OF, DIGITS, SLIDES, THUMB
 from tasks.pick import START_POSITION, START_ROTATION
 from toolkit.morphology.contact import gap_of, held, levers, meet, place, tilt_of
 from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
 from toolkit.morphology.patch import Patch
 from toolkit.morphology.space import EvolutionSpace
 
-MAIN_ROLES = ("FFS", "FFJ2", "MFJ2", "RFJ2", "LFJ2", "THS", "THJ4")
+MAIN_ROLES = (*SLIDES, *(digit.flexion for digit in DIGITS))
 """Joints whose motors close a finger and may stall; the finger's other joints hold its shape."""
 PRESSING = 2.0
 """Pressure [N] from which a finger must touch the box, though at one robot it does not."""
@@ -142,11 +142,11 @@ class GraspLaw:
         self._finger_of = np.array([self.fingers.index(slots[i].element) for i in self.driven])
         self._tips = np.array([max(i for i in self.driven if slots[i].element == finger) for finger in self.fingers])
         closing = START_ROTATION[:, 0]
-        self._push = np.array([-closing if finger == "TH" else closing for finger in self.fingers])
+        self._push = np.array([-closing if finger == THUMB.name else closing for finger in self.fingers])
         self._main = np.array([slots[i].name in MAIN_ROLES for i in self.driven])
-        self._sliding = np.array([slides(slots[i].name) for i in self.driven])
+        self._sliding = np.array([slots[i].name in SLIDES for i in self.driven])
         # Pads lie on the links that both hands and jaws have; the hand's last phalanx, beyond them, is round.
-        self._pitching = np.array([not slides(slots[i].name) and not slots[i].name.endswith("J0") for i in self.driven])
+        self._pitching = np.array([slots[i].name not in (*SLIDES, DIGIT_OF[slots[i].name].tip) for i in self.driven])
         self._dimensions = [
             np.unique([p.dimension for p in space.parameters if p.element == finger]).astype(int) for finger in self.fingers
         ]

@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import least_squares
 
+from grippers.gripper import DIGIT_OF
 from robots.robot import Robot
 from tasks.pick import START_POSITION
 from toolkit.errors import ToolkitError
@@ -170,8 +171,8 @@ class _Bench:
         self._qpos = model.jnt_qposadr[[joints[role] for role in roles]]
         self._dof = model.jnt_dofadr[[joints[role] for role in roles]]
         self._sign = np.array([signs[role] for role in roles])
-        thumb = [bodies[joint] for role, joint in joints.items() if role.startswith("TH")]
-        fingers = [bodies[joint] for role, joint in joints.items() if not role.startswith("TH")]
+        thumb = [bodies[joint] for role, joint in joints.items() if DIGIT_OF[role].opposes]
+        fingers = [bodies[joint] for role, joint in joints.items() if not DIGIT_OF[role].opposes]
         self._jaws = [np.isin(np.arange(model.nbody), jaw) for jaw in (thumb, fingers)]
         scene = NativeScene(model)
         free = scene.object_joint
@@ -341,7 +342,8 @@ def equivalent_linkages(
         ToolkitError: the jaws meet at once, or no box fits between them, so that there is nothing to fit to.
     """
     driven = tuple(robot.gripper.targets)
-    pads, knuckles = (tuple(role[:2] + part for role in driven) for part in ("J1", "K"))
+    digits = [DIGIT_OF[role] for role in driven]
+    pads, knuckles = tuple(digit.pad for digit in digits), [digit.knuckle for digit in digits if digit.knuckle is not None]
     bench = _Bench(model, np.array(data.qpos), robot, signs, driven + pads)
     closing, air, loaded = _closing(bench), _in_air(bench), _on_boxes(bench, grasp)
     if len(air) < 3 or not len(loaded):

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT, ROLE_SENSE, ROLES, slides
+from grippers.gripper import COMMANDED_ROLES, DIGIT_OF, ROLE_PARENT, ROLE_SENSE, ROLES, SLIDES
 from robots.robot import Robot
 from toolkit.errors import ToolkitError
 from toolkit.morphology.linkage import Linkage, closed_on_box, equivalent_linkages
@@ -258,7 +258,7 @@ def merged_slots(arm: Sequence[str], owned: Container[str] = ()) -> tuple[Slot, 
         index[role] = parent
         if role in COMMANDED_ROLES or role in owned:
             index[role] = len(slots)
-            slots.append(Slot(role, parent, role[:2], slides(role)))
+            slots.append(Slot(role, parent, DIGIT_OF[role].name, role in SLIDES))
     return tuple(slots)
 
 

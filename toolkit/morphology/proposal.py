@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from grippers.gripper import DIGIT_OF
 from toolkit.morphology.tree import Screw
 
 RIGHT_ANGLE = 1.0
@@ -95,8 +96,8 @@ def propose_roles(own: Sequence[Finger], source: Sequence[Finger]) -> dict[str, 
     """Which joint of the source's hand each joint of another gripper is, by geometry.
 
     Driven fingers are assigned to the source's so that the distances between tips are shortest in sum (Kuhn 1955); within a
-    pair the joints are aligned in order. A slide has no partner in a hand of hinges and becomes the finger's own ("S" after
-    the source's finger), and so does the first joint of a passive chain ("K" after the finger whose tip is nearest).
+    pair the joints are aligned in order. A slide has no partner in a hand of hinges and becomes that of the source's finger,
+    and the first joint of a passive chain the inner knuckle of the finger whose tip is nearest, where the hand's card has these.
 
     Args:
         own: the gripper's chains.
@@ -114,12 +115,12 @@ def propose_roles(own: Sequence[Finger], source: Sequence[Finger]) -> dict[str, 
         for i, j in align_chains(theirs.screws, mine.screws):
             if j is not None and i is not None:
                 roles[mine.joints[j]] = theirs.joints[i]
-            elif j is not None and mine.screws[j].sliding:
-                roles[mine.joints[j]] = f"{theirs.joints[0][:2]}S"
+            elif j is not None and mine.screws[j].sliding and (slide := DIGIT_OF[theirs.joints[0]].slide) is not None:
+                roles[mine.joints[j]] = slide
     for finger in own:
         if not finger.driven and driven:
             nearest = min(driven, key=lambda other: float(np.linalg.norm(other.tip - finger.tip)))
             named = [roles[joint] for joint in nearest.joints if joint in roles]
-            if named:
-                roles[finger.joints[0]] = f"{named[0][:2]}K"
+            if named and (knuckle := DIGIT_OF[named[0]].knuckle) is not None:
+                roles[finger.joints[0]] = knuckle
     return roles

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from grippers.gripper import DIGIT_OF, THUMB
 from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
 from toolkit.morphology.matching import CUBE, UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
@@ -47,8 +48,6 @@ gripper close in the same time when told to close at once."""
 CLOSING = START_ROTATION[:, 0]
 """Direction in which the fingers close, world; the thumb closes against it."""
 
-THUMB = "TH"
-"""Element of the thumb, and of the jaw that stands for it."""
 
 
 def gyration(mass: float, inertia: np.ndarray) -> np.ndarray:
@@ -174,8 +173,8 @@ def _coupling_slots(matching: Matching) -> list[CouplingSlot]:
     for robot, system in enumerate(matching.systems):
         for coupling in system.couplings:
             names = [matching.slots[slot].name for slot in coupling.coefficients]
-            driven = any(name.endswith(("J2", "J4")) for name in names)
-            key = (names[0][:2], "knuckle" if not driven else "drive" if coupling.held else "stop")
+            driven = any(name == DIGIT_OF[name].flexion for name in names)
+            key = (DIGIT_OF[names[0]].name, "knuckle" if not driven else "drive" if coupling.held else "stop")
             table.setdefault(key, [None] * count)[robot] = coupling
     out = []
     for (finger, kind), owners in sorted(table.items()):
@@ -242,7 +241,7 @@ class EvolutionSpace(ParameterSpace):
         """Indices of the parameters of one side of the grasp: "thumb", or the "fingers" that oppose it."""
         arm = {slot.element for slot in self.matching.slots[: self.matching.arm_size]}
         hand = {slot.element for slot in self.matching.slots} - arm
-        mine = hand & {THUMB} if name == "thumb" else hand - {THUMB}
+        mine = hand & {THUMB.name} if name == "thumb" else hand - {THUMB.name}
         return np.unique([p.dimension for p in self.parameters if p.element in mine]).astype(int)
 
     # ---- what the parameters are -------------------------------------------------------------------------------
@@ -401,9 +400,9 @@ class EvolutionSpace(ParameterSpace):
         while slot >= self.matching.arm_size:
             own = [found for found in system.shapes if found.slot == slot]
             if own:
-                toward = self.turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == THUMB else CLOSING)
+                toward = self.turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == THUMB.name else CLOSING)
                 first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
-                there = self.turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == THUMB else CLOSING)
+                there = self.turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == THUMB.name else CLOSING)
                 front = max(found.position @ toward + _extent(found, toward) for found in own)
                 middle = np.mean([found.position for found in own], axis=0)
                 return middle + (front - _extent(shape.owners[first], there) - middle @ toward) * toward

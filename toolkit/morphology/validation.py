@@ -13,7 +13,7 @@ from robosuite.models.base import MujocoXML
 from robosuite.models.grippers import GRIPPER_MAPPING
 from robosuite.models.robots.robot_model import REGISTERED_ROBOTS
 
-from grippers.gripper import ROLE_COMMAND, slides
+from grippers.gripper import KNUCKLES, ROLE_COMMAND, SLIDES
 from robots.robot import Robot
 from toolkit.errors import ToolkitError
 from toolkit.morphology.native_scene import ARM_PREFIX, BASE_SITE, GRIP_SITE, GRIPPER_PREFIX, plain_name
@@ -85,9 +85,9 @@ def _of_the_card(robot: Robot) -> Iterator[str]:
             yield (f"robot {robot.name}: joint_speeds[{index}] = {speed} is no highest speed in rad/s; "
                    f"{speed} degrees per second are {np.deg2rad(speed):.4f} rad/s")
     for role, pair in robot.gripper.targets.items():
-        unit, large = ("m", LARGEST_TRAVEL) if slides(role) else ("rad", LARGEST_ANGLE)
+        unit, large = ("m", LARGEST_TRAVEL) if role in SLIDES else ("rad", LARGEST_ANGLE)
         if not max(map(abs, pair)) <= large:
-            other = "millimetres" if slides(role) else "degrees"
+            other = "millimetres" if role in SLIDES else "degrees"
             yield f"gripper {robot.gripper.name}: target {pair} of role {role} is no value in {unit}; it looks like {other}"
 
 
@@ -191,8 +191,8 @@ def _of_the_gripper(robot: Robot, model: MujocoXML) -> Iterator[str]:
     for role, joint in card.joints.items():
         if joint not in joints:
             yield f"{label}: role {role} names joint {joint!r}, which its model lacks; it has {', '.join(joints)}"
-        elif (kinds[joint] == "slide") != slides(role):
-            fit = "FFS or THS" if kinds[joint] == "slide" else "a role that ends in a number, or FFK or THK"
+        elif (kinds[joint] == "slide") != (role in SLIDES):
+            fit = " or ".join(SLIDES) if kinds[joint] == "slide" else f"a role that ends in a number, or {' or '.join(KNUCKLES)}"
             yield f"{label}: joint {joint!r} is a {kinds[joint]} and cannot play {role}; give it {fit}"
     bodies = [_own(model, body) for body in model.worldbody.iter("body") if body.find("joint") is None]
     for role, body in card.welded.items():
