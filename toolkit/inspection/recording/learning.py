@@ -29,7 +29,7 @@ FLAT = {
     "success": "Nothing was checked.",
     "train_success": "Nothing was trained: the policy held on every robot as it was.",
     "mean_return": "Nothing was trained, so that there are no returns.",
-    "kl": "Nothing was trained, so that no update moved the policy.",
+    "kl": "No update moved all weights along the natural gradient: only such a step measures it.",
     "sim_epochs": "No training episodes were needed.",
     "train_iterations": "No updates were needed.",
     "diverged": "No simulation diverged.",
