@@ -297,7 +297,7 @@ def test_there_is_less_noise_where_it_alone_stands_in_the_way(tmp_path):
     toy = easy_toy()
     transfer = transfer_of(tmp_path / "run", config(least_noise=0.05), toy)
     transfer.pending[0].policy.set_log_std(np.array([-1.0]))  # more than TOLERANCE bears
-    transfer.look_ahead._leave = lambda branch: []  # every target holds already
+    transfer.look_ahead._leave = lambda branch, step: []  # every target holds already
     transfer.meta_evolve()
     told = [r for r in records(transfer) if r["event"] in ("check", "explore")]
     assert all(0.05 <= r["noise"] <= 1.0 for r in told)
@@ -1153,6 +1153,22 @@ def test_a_search_killed_again_and_again_is_the_same_run(tmp_path, settings):
             assert sittings < 400, "the run does not get anywhere"
     assert sittings > 3
     assert_same_end(transfer, whole)
+
+
+@pytest.mark.parametrize("learner", ["npg", "search"])
+def test_a_target_on_the_others_way_is_learned_once_for_all(tmp_path, learner):
+    """The branch that gets there trains to the goal before it parts; the target's own has nothing left to learn, the other begins better."""
+    near, far = Terminal("near", np.array([0.3, 0.0, 0.0])), Terminal("far", np.array([0.6, 0.0, 0.0]))
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(learner=learner, goal=1.0, threshold=0.5), toy, targets=[near, far])
+    transfer.meta_evolve()
+    paths = {transfer.routes[path][-1]: path for path in transfer.costs}
+    assert transfer.costs["path 1"].sim_epochs > 0 and transfer.costs[paths["near"]].sim_epochs == 0
+    last = [r for r in records(transfer, "check") if r["path"] == "path 1"][-1]
+    assert last["success"] == 1.0, "more than it takes to go on"
+    (split,) = [r for r in records(transfer, "split") if r["path"] == paths["far"]]
+    assert split["sim_epochs"] == 0
+    assert error_at(transfer.arrived["near"], near.alpha) < TOLERANCE and error_at(transfer.arrived["far"], far.alpha) < TOLERANCE
 
 
 def test_a_target_that_holds_already_leaves_the_tree_at_once(tmp_path):

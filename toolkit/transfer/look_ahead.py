@@ -60,7 +60,7 @@ class LookAhead:
                     branch.looked = share < 1.0  # farther on it has just failed
                     return [branch]
             if share == 1.0 and not branch.alone:
-                parted = self._leave(branch)
+                parted = self._leave(branch, step)
                 if parted:
                     return parted
         return [branch]
@@ -84,9 +84,13 @@ class LookAhead:
         last = any(np.linalg.norm(robot - self.way.goals[name]) < 1e-9 for name in branch.targets)
         return not self._searching and not (last and self.config.step == "adaptive")
 
-    def _leave(self, branch: Branch) -> list[Branch]:
-        """Targets on which the policy holds already leave the tree: each gets its own branch, there; none: there are no such targets."""
-        held = [name for name in branch.targets if self.holds(branch, self.way.goals[name])]
+    def _leave(self, branch: Branch, step: MetaStep) -> list[Branch]:
+        """Targets on which the policy holds already leave the tree: each gets its own branch, there; none: there are no such targets.
+
+        One through which the others' way leads stays: what is learned there serves them all.
+        """
+        apart = [name for name in branch.targets if np.linalg.norm(self.way.goals[name] - step.meta_alpha) >= 1e-9]
+        held = [name for name in apart if self.holds(branch, self.way.goals[name])]
         if not held:
             return []
         others = frozenset(branch.targets) - frozenset(held)

@@ -134,7 +134,9 @@ class Transfer:
         step = self.way.evolution_tree(branch)
         if not self.way.at(branch, step) and (branch.alone or not step.reached):
             return self.evolve(branch, step)
-        return self.reach(branch) if branch.alone else self.split(branch, step)
+        if branch.alone:
+            return self.reach(branch)
+        return [branch] if step.reached and self.train_shared(branch) == "training" else self.split(branch, step)
 
     def evolve(self, branch: Branch, step: MetaStep) -> list[Branch]:
         """Lines 4 and 5, towards the meta robot: choose the next robot, then train until the policy holds on it, and go there.
@@ -166,6 +168,10 @@ class Transfer:
             self.way.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=True)
         elif outcome == "stalled":
             self.stride.try_nearer(branch)
+
+    def train_shared(self, branch: Branch) -> Outcome:
+        """Line 8 where others go on from a target: one update towards its goal, of which all behind it have the use."""
+        return self.training.train_to(branch, self.players.engine, branch.alpha, self.config.goal, self.config.goal_episodes)
 
     def split(self, branch: Branch, step: MetaStep) -> list[Branch]:
         """Lines 10 to 12: one branch per subtree; targets reached get their own."""
