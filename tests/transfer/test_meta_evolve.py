@@ -1157,7 +1157,7 @@ def test_a_search_killed_again_and_again_is_the_same_run(tmp_path, settings):
 
 @pytest.mark.parametrize("learner", ["npg", "search"])
 def test_a_target_on_the_others_way_is_learned_once_for_all(tmp_path, learner):
-    """The branch that gets there trains to the goal before it parts; the target's own has nothing left to learn, the other begins better."""
+    """The branch that gets there trains to the goal before it parts; the target's own has nothing left to learn."""
     near, far = Terminal("near", np.array([0.3, 0.0, 0.0])), Terminal("far", np.array([0.6, 0.0, 0.0]))
     toy = Toy()
     transfer = transfer_of(tmp_path / "run", config(learner=learner, goal=1.0, threshold=0.5), toy, targets=[near, far])
