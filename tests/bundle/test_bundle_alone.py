@@ -327,7 +327,7 @@ def test_the_manifest_is_valid_by_the_schema_beside_it(exported, name):
     (lambda m: m["simulation"]["holding"].update(consecutive=1), "$.simulation.holding.consecutive is no boolean"),
     (lambda m: m.update(simulation=None), "$.simulation is no object"),
     (lambda m: m.update(licence=None), "$.licence is no string"),
-    (lambda m: m.update(format_version=2), "$.format_version is not 5"),
+    (lambda m: m.update(format_version=2), "$.format_version is not 6"),
     (lambda m: m["watch"].update(patience=3), "$.watch.patience is unknown"),
     (lambda m: m["simulation"]["actuators"][0].update(force=["x"]), "$.simulation.actuators[0].force fits nothing"),
     (lambda m: m["golden"].update(steps=2.5), "$.golden.steps is no integer"),
@@ -488,9 +488,11 @@ EARLIER = ("policy.onnx", "policy.safetensors", "golden.npz", "robot.xml", "READ
 
 
 @pytest.mark.parametrize("version, lacks, kept", [
-    (2, ("simulation", "licence", "holds", "braking"), EARLIER),
-    (4, ("braking",), HASHED),
-    (3, ("holds", "braking"), (*EARLIER, "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json")),
+    (2, ("simulation", "licence", "holds", "braking", "borne_delay_steps"), EARLIER),
+    (5, ("borne_delay_steps",), HASHED),
+    (4, ("braking", "borne_delay_steps"), HASHED),
+    (3, ("holds", "braking", "borne_delay_steps"),
+     (*EARLIER, "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json")),
 ])
 def test_a_bundle_of_an_earlier_format_version_still_loads(unpacked, version, lacks, kept):
     """As earlier releases wrote it: fewer entries, and fewer files beside the manifest."""
@@ -507,7 +509,6 @@ def test_a_bundle_of_an_earlier_format_version_still_loads(unpacked, version, la
     bundle = load_bundle(folder)
     assert all(getattr(bundle.manifest, key) is None for key in lacks)
     assert bundle.manifest.to_json() == old and check_bundle(bundle)["golden_ok"]
-    row = {"form": "osc", "speed_m_s": 0.1, "distance_m": 0.01, "time_s": 0.1}
-    (folder / "manifest.json").write_text(json.dumps(old | {"braking": {"distances": [row], "table_clearance_m": 0.0}}))
-    with pytest.raises(ToolkitError, match=f"braking does not fit format version {version}.*export the bundle again"):
+    (folder / "manifest.json").write_text(json.dumps(old | {"borne_delay_steps": 1}))
+    with pytest.raises(ToolkitError, match=f"borne_delay_steps does not fit format version {version}.*export the bundle again"):
         load_bundle(folder)

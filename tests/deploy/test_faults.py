@@ -1,5 +1,6 @@
 """A bad day: every fault that is injected must be met, and the injector must see when it is not."""
 
+import dataclasses
 import json
 import time
 
@@ -48,17 +49,11 @@ def arm(task):
     return Direct(Twin(ROBOTS["kinova3"], task, "lockstep"))
 
 
-LATE = ("states two ticks late", "orders two ticks late")
-"""Known to be unmet under osc: two ticks late the arm comes to the table faster than undisturbed, and is stopped by the rule that it must
-be able to come to rest above the table, though it would have grasped and gone on."""
-
-
 @pytest.mark.parametrize("form", ["osc", "pose", "joint"])
 def test_no_fault_is_unmet(bundle, arm, form):
     harms = CLOCKLESS if form == "osc" else tuple(h for h in CLOCKLESS if h.layer in ("none", "order") or "frozen" in h.name)
     found = list(trials(bundle, arm, arm.connect(), form, harms))
-    unmet = [t for t in found if not t.met and not (form == "osc" and t.fault in LATE and "stopped: table_clearance" in t.outcome)]
-    assert len(found) == len(harms) > 10 and not unmet
+    assert len(found) == len(harms) > 10 and not [t for t in found if not t.met]
     nothing = found[0]
     assert (nothing.fault, nothing.outcome, nothing.seen) == ("nothing", "success", "")
     assert all(t.seen for t in found if t.must in ("stop", "pass", "refuse"))
@@ -75,6 +70,18 @@ def test_the_injector_sees_a_runtime_that_believes_everything(bundle, arm, monke
     harm = harm_named("whole state frozen, fresh stamp")
     found = trial(bundle, arm, arm.connect(), "osc", harm, onsets(bundle)["moving"], EVALUATION_SEEDS)
     assert not found.met and found.ticks is None and found.to_hold_mm > 100
+
+
+def test_a_delay_is_borne_as_far_as_the_label_says(bundle, arm):
+    """One tick late the gripper stays off the table; two ticks late it comes down on it under osc, and may be stopped, if the label has not
+    said that it would not."""
+    assert bundle.manifest.borne_delay_steps == 1
+    for name in ("states one tick late", "orders one tick late"):
+        assert trial(bundle, arm, arm.connect(), "osc", harm_named(name), 0, EVALUATION_SEEDS).outcome == "success"
+    boast = dataclasses.replace(bundle, manifest=dataclasses.replace(bundle.manifest, borne_delay_steps=2))
+    for said, met in ((bundle, True), (boast, False)):
+        found = trial(said, arm, arm.connect(), "osc", harm_named("orders two ticks late"), 0, EVALUATION_SEEDS)
+        assert found.outcome.startswith("stopped: table_clearance") and found.met is met
 
 
 def test_a_frozen_arm_is_held_where_a_tick_of_motion_ends(bundle, arm):

@@ -241,11 +241,12 @@ def test_an_arm_is_held_where_it_could_no_longer_stop_in_its_box(bundle, form):
     distances = tuple(BrakingDistance(form, share * speed, 0.08 * share, 0.4) for share in (0.5, 2.0))
 
     def first_fault(braking, period=0.05):
-        version = 5 if braking else 4
+        version, borne = (6, 0) if braking else (4, None)
         low, high = np.array(m.cartesian.low) - 1.0, np.array(m.cartesian.high) + 1.0
         high[2] = top - OVERSHOOT + 0.06
         box = dataclasses.replace(m.cartesian, low=tuple(low), high=tuple(high))
-        tight, played = dataclasses.replace(m, cartesian=box, braking=braking, format_version=version, holds=()), [0]
+        tight, played = dataclasses.replace(m, cartesian=box, braking=braking, format_version=version, holds=(),
+                                            borne_delay_steps=borne), [0]
         runtime = Runtime(dataclasses.replace(bundle, manifest=tight), info_of(m), form,
                           lambda observation: g["episode_actions"][played[0]].copy())
         for i in range(row + 1):

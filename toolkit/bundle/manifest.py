@@ -14,11 +14,11 @@ from typing import Any, Literal
 
 from toolkit.errors import ToolkitError
 
-FORMAT, FORMAT_VERSION = "meta-evolve bundle", 5
-READABLE = (2, 3, 4, 5)
+FORMAT, FORMAT_VERSION = "meta-evolve bundle", 6
+READABLE = (2, 3, 4, 5, 6)
 """Versions that this release reads. Version 2 has neither ``simulation`` nor ``licence``: golden.npz alone settles what they say. Version
-3 lacks ``holds``, and the files scene.xml and robot.urdf; version 4 ``braking``."""
-SINCE = {"simulation": 3, "licence": 3, "holds": 4, "braking": 5}
+3 lacks ``holds``, and the files scene.xml and robot.urdf; version 4 ``braking``; version 5 ``borne_delay_steps``."""
+SINCE = {"simulation": 3, "licence": 3, "holds": 4, "braking": 5, "borne_delay_steps": 6}
 """Entry -> the version that brought it."""
 
 Vector = tuple[float, ...]
@@ -640,8 +640,9 @@ class Braking:
 
     Attributes:
         distances: measured; form by form, slowest first.
-        table_clearance_m: smallest height above the table at which the gripper's lowest point would then be; from undisturbed episodes, and
-            negative where the gripper comes down to the object so fast that a hold would set it on the table.
+        table_clearance_m: smallest height above the table at which the gripper's lowest point would then be; from undisturbed episodes and,
+            from format version 6 on, those that are late by up to Manifest.borne_delay_steps; negative where the gripper comes down to the
+            object so fast that a hold would set it on the table.
     """
 
     distances: tuple[BrakingDistance, ...]
@@ -723,6 +724,9 @@ class Manifest:
         simulation: all that else closes the loop.  licence: of the bundle, by SPDX. Both None in format version 2.
         holds: under which conditions of a laboratory the policy holds; empty: not measured. None before format version 4.
         braking: where the arm would come to rest, were it held. None before format version 5.
+        borne_delay_steps: policy steps by which states, or orders, may be late in simulation: the policy succeeds in at least 0.9 of the
+            episodes, and the gripper comes as little on the table as undisturbed. Longer delays were not tried than those after which a
+            state counts as stale. None before format version 6.
     """
 
     format: str
@@ -752,11 +756,13 @@ class Manifest:
     licence: str | None = None
     holds: tuple[Held, ...] | None = None
     braking: Braking | None = None
+    borne_delay_steps: int | None = None
 
     def __post_init__(self) -> None:
         for key, version in SINCE.items():
             fits = (getattr(self, key) is None) == (self.format_version < version)
             _require(fits, f"{key} does not fit format version {self.format_version}")
+        _require((self.borne_delay_steps or 0) >= 0, "borne_delay_steps is negative")
         _require(self.policy_hz > 0 and self.controller_hz >= self.policy_hz, "policy_hz and controller_hz are no rates")
         for key in ("observation", "action", "joints"):
             names = [entry.name for entry in getattr(self, key)]

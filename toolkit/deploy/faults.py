@@ -34,7 +34,9 @@ from toolkit.runs.seeds import EVALUATION_SEEDS
 
 Must = Literal["stop", "pass", "play", "refuse"]
 """stop: held, then stopped with a reason.  pass: held, and played on.  play: borne, whether or not the policy
-then succeeds.  refuse: never moved."""
+then succeeds; but a delay beyond manifest.borne_delay_steps may end at a limit of AT_TABLE.  refuse: never moved."""
+AT_TABLE = ("table_clearance", "tracking")
+"""By which an arm is stopped that comes down on the table: on its way, or as it pushes."""
 TICKS, WAY, SHOWING = 3, 0.01, 2
 """Ticks and way [m] within which the arm must be held, and ticks at the speed of the fault's beginning that are added to that way: what
 is not there shows only a tick later, and an order is obeyed in the tick after it."""
@@ -67,6 +69,7 @@ class Harm:
             object must have moved.
         before: likewise state, of the ticks before the fault.
         trouble: of a vendor's mock arm.
+        late: ticks by which states or orders come late.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Harm:
     prompt: bool = True
     before: Callable[[list[State], np.random.Generator], State] | None = None
     trouble: Trouble = ""
+    late: int = 0
 
 
 @dataclass(frozen=True)
@@ -193,8 +197,8 @@ _STATE = (
     Harm("pose noise of 2 mm", "state", "play", "start", state=_seen(0.002)),
     Harm("pose noise of 5 mm", "state", "play", "start", state=_seen(0.005)),
     Harm("pose noise of 10 mm", "state", "play", "start", state=_seen(0.010)),
-    Harm("states one tick late", "state", "play", "start", state=_delayed(1)),
-    Harm("states two ticks late", "state", "play", "start", state=_delayed(2)),
+    Harm("states one tick late", "state", "play", "start", state=_delayed(1), late=1),
+    Harm("states two ticks late", "state", "play", "start", state=_delayed(2), late=2),
 )
 _STAMP = (
     Harm("stamp a second old", "stamp", "stop", state=_change(stamp=lambda s: s.stamp - 1.0), real=True),
@@ -226,8 +230,8 @@ def _still(commands: list[Command]) -> Command:
 
 _ORDER = (
     Harm("the arm does not obey", "order", "stop", command=_still),
-    Harm("orders one tick late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 2)]),
-    Harm("orders two ticks late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 3)]),
+    Harm("orders one tick late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 2)], late=1),
+    Harm("orders two ticks late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 3)], late=2),
 )
 _PROCESS = (
     Harm("policy asleep for 0.5 s", "process", "pass", sleep=0.5, lasting=1, real=True),
@@ -356,13 +360,13 @@ def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, 
         driver.begin(seed)
         injector = Injector(driver, harm, onset, place)
         outcome = play(runtime, injector, TickLog(None, {}), "real" if harm.real or isinstance(driver, MockedDriver) else "lockstep")
-        found = _judged(injector, outcome, form)
+        found = _judged(injector, outcome, form, bundle.manifest.borne_delay_steps or 0)
         if found.met or not outcome.stopped.startswith("late_ticks"):  # a busy machine's lateness is not the fault's
             break
     return found
 
 
-def _judged(injector: Injector, outcome: Outcome, form: Form) -> Trial:
+def _judged(injector: Injector, outcome: Outcome, form: Form, borne: int) -> Trial:
     harm, onset, held, way = injector.harm, injector.onset, injector.held, np.array(injector.truths)
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     seen = ", ".join(outcome.faults)
@@ -377,7 +381,8 @@ def _judged(injector: Injector, outcome: Outcome, form: Form) -> Trial:
     )
     met = {
         "stop": bool(outcome.stopped) and soon, "pass": not outcome.stopped and soon,
-        "play": not outcome.stopped, "refuse": not held and bool(outcome.stopped),
+        "play": not outcome.stopped or (harm.late > borne and outcome.stopped.startswith(AT_TABLE)),
+        "refuse": not held and bool(outcome.stopped),
     }[harm.must]
     return Trial(harm.name, harm.layer, form, harm.must, seen, None if first is None else first - onset, 1e3 * to_hold, 1e3 * to_rest,
                  f"stopped: {outcome.stopped}" if outcome.stopped else "success" if outcome.success else "horizon", bool(met))

@@ -4,6 +4,7 @@ The policy plays the robot; its robot answers single deltas; its empty gripper c
 """
 
 import copy
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,8 @@ RESPONSE_STEPS, RESPONSE_AMPLITUDE = 12, 0.5
 """Policy steps over which an impulse is followed, and its action; beyond, the arm's posture pulls it back."""
 GRIPPER_COMMANDS, GRIPPER_TIME = 21, 1.0
 """Closing commands at which the empty gripper is measured, and the time [s] it is given at each."""
+BRUSHING = 0.002
+"""Height [m] over the table from which down a gripper counts as brushing it."""
 CLAMP = 1e6
 """Armature [kg m^2] and damping [N m s/rad] that hold the arm still while the gripper moves."""
 
@@ -85,7 +88,9 @@ class _Motion(States):
     acted = begun
 
 
-def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, lowest: Callable[[np.ndarray], float]) -> Played:
+def watch(
+    plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, lowest: Callable[[np.ndarray], float], delay: int = 0
+) -> Played:
     """Play episodes and keep what the manifest needs.
 
     Args:
@@ -94,11 +99,18 @@ def watch(plant: Plant, policy: GaussianPolicy, seeds: list[int], noisy: bool, l
         seeds: of the episodes.
         noisy: with the exploration noise of training.
         lowest: height [m] of the gripper's lowest point at a configuration (nq,).
+        delay: policy steps by which what the policy sees is late.
     """
+    actor = policy.act if noisy else MeanActor(policy)
     out, succeeded = Played([], [], [], [], [], [], [], 0.0), 0
     for seed in seeds:
-        motion = _Motion(plant.model)
-        episode = play(plant, policy.act if noisy else MeanActor(policy), seed, np.zeros(0), motion)
+        motion, waiting = _Motion(plant.model), deque[np.ndarray](maxlen=delay + 1)
+
+        def late(observation: np.ndarray, rng: np.random.Generator, waiting: deque = waiting) -> np.ndarray:
+            waiting.append(observation.copy())
+            return actor(waiting[0], rng)
+
+        episode = play(plant, late, seed, np.zeros(0), motion)
         speeds, efforts, grasp = (np.array(column) for column in zip(*motion.rows, strict=True))
         succeeded += episode.success
         for kept, value in (
@@ -134,6 +146,24 @@ def borne_start_error(plant: Plant, policy: GaussianPolicy, seeds: list[int], wi
                 return borne
         borne = width
     return borne
+
+
+def borne_delays(calm: Played, late: Callable[[int], Played], longest: int) -> list[Played]:
+    """Undisturbed episodes, then those in which all that is seen is one policy step late, two, and so on, as long as at least GOOD of them
+    succeed and the gripper stays off the table, or where it brushes it undisturbed: what comes late comes down on it with its whole speed.
+
+    Args:
+        calm: undisturbed.
+        late: delay -> the same episodes, late.
+        longest: delay to try.
+    """
+    out, floor = [calm], min(0.0, min(map(np.min, calm.heights)) - BRUSHING)
+    for delay in range(1, longest + 1):
+        played = late(delay)
+        if played.success < GOOD or min(map(np.min, played.heights)) < floor:
+            break
+        out.append(played)
+    return out
 
 
 def largest_step(rows: list[np.ndarray]) -> np.ndarray:

@@ -33,7 +33,6 @@ from toolkit.bundle.manifest import (
     SINCE,
     Acted,
     Braking,
-    BrakingDistance,
     Cartesian,
     Controller,
     Finger,
@@ -69,11 +68,10 @@ from toolkit.bundle.reading import (
 )
 from toolkit.bundle.schema import manifest_schema
 from toolkit.bundle.signing import sign
-from toolkit.deploy.arm import FORMS
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.errors import ToolkitError
 from toolkit.export import datasheet
-from toolkit.export.braking import measure_braking
+from toolkit.export.braking import lowest_rest, measure_braking
 from toolkit.export.datasheet import Played, vector
 from toolkit.export.loop import licence, read_simulation
 from toolkit.export.robot_xml import robot_mjcf
@@ -106,7 +104,7 @@ CARTESIAN_SPEED_FLOOR, CARTESIAN_ACCELERATION_FLOOR = (0.1, 0.3), (1.5, 4.0)
 """[m/s, rad/s] and [m/s^2, rad/s^2]; margins as for joints."""
 BOX_MARGIN = (0.05, 0.05, 0.05, 0.2, 0.2, 0.2)
 """[m, rad] around what the grasp frame visited; downwards LOW_MARGIN."""
-LOW_MARGIN, CLEARANCE_MARGIN, BRUSHING = 0.01, 0.005, 0.002
+LOW_MARGIN, CLEARANCE_MARGIN = 0.01, 0.005
 """[m] below the lowest grasp frame, and below the lowest point of the gripper, but then never more than halfway to the table unless
 the gripper comes so close to it that it brushes it."""
 LEAD = (0.05, 0.05, 0.05, 0.25, 0.25, 0.25)
@@ -337,14 +335,18 @@ def _describe(
     card, base, fingers = _robot_card(robot, plant, flange), native.osc_base(plant.data)[:3], _fingers(robot, plant)
     progress("measuring the arm's response and the gripper")
     gripper, response = datasheet.measure_gripper(robot, plant), datasheet.measure_response(plant)
-    lowest = _lowest(plant, kinematics)
+    low = _lowest(plant, kinematics)
     undisturbed, disturbed = episodes
     seeds = [RECORDED_SEED + 1 + i for i in range(undisturbed + disturbed)]
     progress(f"playing {undisturbed} undisturbed episodes")
-    calm = datasheet.watch(plant, policy, seeds[:undisturbed], False, lowest)
+    calm = datasheet.watch(plant, policy, seeds[:undisturbed], False, low)
     progress(f"playing {disturbed} episodes with the noise of training")
-    noisy = datasheet.watch(plant, policy, seeds[undisturbed:], True, lowest)
+    noisy = datasheet.watch(plant, policy, seeds[undisturbed:], True, low)
     golden, arrays = _golden(plant, robot, policy, action_map, onnx)
+    watch = _watch(calm, task)
+    progress("playing with what is seen coming late")
+    late = datasheet.borne_delays(calm, lambda delay: datasheet.watch(plant, policy, seeds[:undisturbed], False, low, delay),
+                                  int(watch.stale_s * task.control_frequency))
     progress("playing from start postures that are a little off")
     borne = datasheet.borne_start_error(plant, policy, seeds[:undisturbed], START_ERRORS)
     start = replace(start, **_tolerances(kinematics, start, borne or START_ERRORS[0]))
@@ -355,14 +357,16 @@ def _describe(
         policy_hz=task.control_frequency, controller_hz=float(round(1.0 / plant.model.opt.timestep)),
         controller=_controller(plant, base, response), observation=_observation(calm, noisy),
         action=_action(calm, action_map), fingers=fingers, gripper=gripper, start=start,
-        joints=_joints(robot, plant, calm), cartesian=_cartesian(calm, start, task.control_frequency), watch=_watch(calm, task),
+        joints=_joints(robot, plant, calm), cartesian=_cartesian(calm, start, task.control_frequency), watch=watch,
         lineage=lineage, success=success,
         golden=golden, graph=Graph(OPSET, IR_VERSION, "float32", "action"), versions=_versions(), run=config,
         sha256={}, simulation=simulation, licence=licence(), holds=holds,
     )
     progress("braking in every form of command")
     distances = measure_braking(robot, task, manifest, mjcf, arrays["episode_joints"])
-    manifest = replace(manifest, format_version=FORMAT_VERSION, braking=_braking(distances, calm, manifest))
+    lowest = min(lowest_rest(played, delay, distances, manifest, action_map) for delay, played in enumerate(late))
+    manifest = replace(manifest, format_version=FORMAT_VERSION, braking=Braking(distances, lowest - CLEARANCE_MARGIN),
+                       borne_delay_steps=len(late) - 1)
     urdf = robot_urdf(mjcf, manifest, coupled).encode()
     return manifest, {MJCF: mjcf.encode(), URDF: urdf, SCENE: scene.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
 
@@ -507,26 +511,13 @@ def _cartesian(calm: Played, start: Start, rate: float) -> Cartesian:
     low, high = rows.min(axis=0) - margin, rows.max(axis=0) + margin
     low[2] = rows[:, 2].min() - LOW_MARGIN
     low, high = np.minimum(low, begins - about), np.maximum(high, begins + about)
-    room = min(CLEARANCE_MARGIN, 0.5 * clearance) if clearance > BRUSHING else CLEARANCE_MARGIN
+    room = min(CLEARANCE_MARGIN, 0.5 * clearance) if clearance > datasheet.BRUSHING else CLEARANCE_MARGIN
     return Cartesian(
         low=vector(low), high=vector(high),
         speed=vector(np.maximum(SPEED_MARGIN * speed, np.repeat(CARTESIAN_SPEED_FLOOR, 3))),
         acceleration=vector(np.maximum(ACCELERATION_MARGIN * push, np.repeat(CARTESIAN_ACCELERATION_FLOOR, 3))),
         lead=LEAD, table_top_m=TABLE_TOP, table_clearance_m=float(clearance - room),
     )
-
-
-def _braking(distances: tuple[BrakingDistance, ...], calm: Played, manifest: Manifest) -> Braking:
-    """How low undisturbed episodes would have ended, held at the worst of their ticks in the worst of the forms; with a margin."""
-    lowest = np.inf
-    for visited, heights in zip(calm.grasp, calm.heights, strict=True):
-        velocity = np.diff(visited[:, :3], axis=0) * manifest.policy_hz
-        speed = np.linalg.norm(velocity, axis=1)
-        goes = np.max([np.interp(speed, *np.array([(0.0, 0.0), *((d.speed_m_s, d.distance_m) for d in distances if d.form == form)]).T)
-                       for form in FORMS], axis=0)
-        down = velocity[:, 2] / manifest.policy_hz + goes * velocity[:, 2] / np.maximum(speed, 1e-9)
-        lowest = min(lowest, float((heights[1:] + np.minimum(0.0, down)).min()))
-    return Braking(distances, lowest - CLEARANCE_MARGIN)
 
 
 def _watch(calm: Played, task: PickTask) -> Watch:
