@@ -440,6 +440,7 @@ def test_a_morph_follows_the_tree(tmp_path, small):
 def test_two_runs_stand_side_by_side(tmp_path, known):
     films, layout = shows.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
     np.testing.assert_array_equal(films[0].qpos, films[1].qpos)
+    assert films[0].qpos.shape[1] == known.native("jaco").model.nq, "the unmodified robot, of which success is claimed"
     told = entities(tmp_path / "c.rrd")
     (entity,) = [path for path in told if path.endswith("/j2s7s300_link_7")]
     places = np.array(next(row for row in told[entity] if "film" in row)["InstancePoses3D:translations"])

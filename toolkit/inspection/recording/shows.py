@@ -30,7 +30,7 @@ from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, Take
 from toolkit.runs.run import Run, continuing, read_tree, transfer_records
 from toolkit.runs.seeds import CHECKING_SEEDS
-from toolkit.simulation.laws import Drivable, merged_plant
+from toolkit.simulation.laws import Drivable
 
 POLL = 1.0
 """[s] between two looks at a running transfer's folder."""
@@ -153,7 +153,7 @@ def morph(merged: Merged, source: str, targets: Sequence[str], path: Path, tree:
 
 
 def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> tuple[list[Film], Layout]:
-    """The final policies of two targets, or of two runs, side by side in one scene, from the same seed on F(beta).
+    """The final policies of two targets, or of two runs, side by side in one scene, from the same seed on the unmodified robots.
 
     Args:
         sides: (label, run, target) of each; the first run's merged robot knows all targets.
@@ -175,9 +175,9 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> t
         if target not in known.trained:
             raise ToolkitError(f"{known.folder} has no policy for {target!r} yet; it has: {', '.join(known.trained) or 'none'}")
         policy, beta = known.trained[target], merged.space.beta(target)
-        film = shoot(merged_plant(merged, beta, *merged.new()), MeanActor(policy), seed, beta)
+        film = shoot(known.native(target), MeanActor(policy), seed, beta)
         films.append(film)
-        casts.append(casting.playing(film, beta))
+        casts.append(casting.native(film, target))
     layout = partial(_compare_layout, [label for label, _, _ in sides], casting.framing, pages[0].pick)
     stream.arrange(layout(False))
     times = films[0].interval * np.arange(max(len(film.qpos) for film in films))
