@@ -18,13 +18,13 @@ from toolkit.cli.training import record_run
 from toolkit.errors import ToolkitError
 from toolkit.expert import shelf
 from toolkit.expert.training import new_learner
-from toolkit.inspection.casting import ALWAYS, SHAPE, SKIN, casting_of
 from toolkit.inspection.film import PickFilm, shoot
 from toolkit.inspection.furniture import opacity
 from toolkit.inspection.recording import shows, viewer
 from toolkit.inspection.recording.scene import Scene
 from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report import stills
+from toolkit.inspection.visual import ALWAYS, SHAPE, SKIN, visual_of
 from toolkit.learning.policy import MeanActor
 from toolkit.morphology.lab import Lab
 from toolkit.runs.phases import load_phases
@@ -70,11 +70,11 @@ def begun(lab, alpha):
 
 
 def test_capsules_stand_where_mujoco_says_and_grow_with_the_robot(tmp_path, crawlers):
-    casting = casting_of(crawlers.merged)
+    visual = visual_of(crawlers.merged)
     source, long = crawlers.space.betas[:2]
     alphas = source + np.linspace(0, 1, 4)[:, None] * (long - source)
     stream = Stream(tmp_path / "a.rrd")
-    Scene(stream, casting).show(np.arange(4.0), 0, [casting.standing(alphas)])
+    Scene(stream, visual).show(np.arange(4.0), 0, [visual.standing(alphas)])
     stream.close()
     told = entities(tmp_path / "a.rrd")
     assert set(told) == {"/scene/robot/capsules"}, "no goal, no trail, no contacts, no object"
@@ -93,31 +93,31 @@ def test_capsules_stand_where_mujoco_says_and_grow_with_the_robot(tmp_path, craw
 def test_boxes_and_balls_of_another_task():
     """The toy hand lifts: a box, two capsules, a ball, over every frame of a film against mj_kinematics."""
     lab = Lab(HAND_ROBOTS[0], HAND_ROBOTS[1:], LIFT)
-    casting, alpha = casting_of(lab.merged), lab.space.betas[1]
+    visual, alpha = visual_of(lab.merged), lab.space.betas[1]
     actor = MeanActor(new_learner(LIFT, 0)[0])
     film = shoot(merged_plant(lab.merged, alpha, *lab.merged.new()), actor, 3, alpha)
-    assert not isinstance(film, PickFilm) and {name: len(drawn.colours) for name, drawn in casting.primitives.items()} == {
+    assert not isinstance(film, PickFilm) and {name: len(drawn.colours) for name, drawn in visual.primitives.items()} == {
         "boxes": 1, "capsules": 2, "ellipsoids": 2}, "the palm, two fingers, the ball and a site"
-    cast = casting.playing(film, alpha)
+    motion = visual.playing(film, alpha)
     model, data = lab.merged.new()
     lab.merged.become(alpha, model, data)
     for frame in range(0, len(film.qpos), 7):
         data.qpos[:] = film.qpos[frame]
         mujoco.mj_kinematics(model, data)
         for name, geoms in (("boxes", ["palm"]), ("capsules", ["thumb", "finger"]), ("ellipsoids", ["ball"])):
-            places, turns, sizes = (array[frame][: len(geoms)] for array in cast.parts[name])
+            places, turns, sizes = (array[frame][: len(geoms)] for array in motion.parts[name])
             ids = [model.geom(geom).id for geom in geoms]
             np.testing.assert_allclose(places, data.geom_xpos[ids], atol=1e-9)
             matrices = Rotation.from_quat(turns, scalar_first=True).as_matrix().reshape(-1, 9)
             np.testing.assert_allclose(matrices, data.geom_xmat[ids], atol=1e-9)
             own = np.full((1, 3), 0.03) if name == "ellipsoids" else model.geom_size[ids]
             np.testing.assert_allclose(sizes, own, atol=1e-12)
-        np.testing.assert_allclose(cast.parts["ellipsoids"][0][frame, 1], data.site("tip").xpos, atol=1e-9)
+        np.testing.assert_allclose(motion.parts["ellipsoids"][0][frame, 1], data.site("tip").xpos, atol=1e-9)
 
 
 def test_a_film_keeps_what_the_scene_has_placed(hands):
     """The door stands elsewhere in each episode, by no joint: a film that is drawn after a later episode stands where it stood."""
-    casting, actor = casting_of(hands.merged), MeanActor(new_learner(hands.task, 0)[0])
+    visual, actor = visual_of(hands.merged), MeanActor(new_learner(hands.task, 0)[0])
     plant = native_plant(hands.targets[0], hands.task)
     films, places = [], []
     for seed in (1, 2):
@@ -126,34 +126,34 @@ def test_a_film_keeps_what_the_scene_has_placed(hands):
     assert np.abs(places[0] - places[1]).max() > 0.01, "the seeds place the door alike"
     model = hands.merged.template
     frame = np.flatnonzero(model.geom_bodyid == model.body("frame").id)
-    cylinders = [geom for geom in casting.geoms if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER]
+    cylinders = [geom for geom in visual.geoms if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER]
     for film, place in zip(films, places, strict=True):
-        posts = casting.native(film, hands.targets[0].name).parts["cylinders"][0][0, [cylinders.index(geom) for geom in frame]]
+        posts = visual.native(film, hands.targets[0].name).parts["cylinders"][0][0, [cylinders.index(geom) for geom in frame]]
         np.testing.assert_allclose(posts, place + model.geom_pos[frame], atol=1e-9)
 
 
 def test_meshes_fade_where_shapes_change_and_nowhere_else(hands):
     """Of a finger that shrinks the mesh gives way to what touches; the forearm, which stays, keeps its mesh."""
-    casting, model = casting_of(hands.merged), hands.merged.template
-    column = {model.geom(geom).name: own for geom, own in casting.geoms.items()}
+    visual, model = visual_of(hands.merged), hands.merged.template
+    column = {model.geom(geom).name: own for geom, own in visual.geoms.items()}
     assert column["V_ffproximal"] == SKIN and column["C_ffproximal"] == SHAPE and column["V_forearm"] == ALWAYS
     assert column["V_ffknuckle"] == SKIN and column["V_wrist"] == ALWAYS, "a knuckle, which touches nothing, goes with the palm"
     assert "C_forearm1" not in column, "what only touches stays hidden where a mesh shows it"
-    cast = casting.standing(hands.space.betas)
-    shown = opacity(cast.weights, cast.weights.max(axis=1, keepdims=True))
+    motion = visual.standing(hands.space.betas)
+    shown = opacity(motion.weights, motion.weights.max(axis=1, keepdims=True))
     np.testing.assert_array_equal(shown, [[1, 0, 1], [0, 1, 1]])
 
 
 @pytest.mark.parametrize("near", [True, False])
 def test_pictures_of_a_robot_that_turns(crawlers, near):
     try:
-        studio = stills.studio_of(casting_of(crawlers.merged), (96, 96), near)
+        renderer = stills.renderer_of(visual_of(crawlers.merged), (96, 96), near)
     except ToolkitError as error:
         pytest.skip(str(error))
     source, target = crawlers.space.betas[:2]
-    pictures = [studio.take(source + share * (target - source)).astype(float) for share in (0.0, 0.5, 1.0)]
-    again = studio.take(source).astype(float)
-    studio.close()
+    pictures = [renderer.take(source + share * (target - source)).astype(float) for share in (0.0, 0.5, 1.0)]
+    again = renderer.take(source).astype(float)
+    renderer.close()
     np.testing.assert_array_equal(again, pictures[0])
     apart = [np.abs(a - b).mean() for a, b in ((pictures[0], pictures[2]), (pictures[0], pictures[1]))]
     assert apart[0] > apart[1] > 0.3, f"halfway lies between the ends: {apart}"

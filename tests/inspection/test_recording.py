@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
-from toolkit.inspection.casting import AT_THE_TABLE, casting_of
 from toolkit.inspection.drawn_tree import Plan, matrix
 from toolkit.inspection.recording import excerpt, learning, rollouts, shows, viewer
 from toolkit.inspection.recording.scene import Scene
 from toolkit.inspection.recording.story import SHARE, Story
 from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report.figures import tree_figure
+from toolkit.inspection.visual import AT_THE_TABLE, visual_of
 from toolkit.learning.policy import MeanActor
 from toolkit.runs.phases import Phase, Take, Witness, landmarks, load_phases
 from toolkit.runs.run import Run
@@ -147,10 +147,10 @@ def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, kn
 
 
 def test_the_merged_robots_bones_stand_where_mujoco_says(tmp_path, small):
-    casting = casting_of(small.merged)
+    visual = visual_of(small.merged)
     alphas = small.space.betas[0] + np.linspace(0, 1, 4)[:, None] * (small.space.betas[1] - small.space.betas[0])
     stream = Stream(tmp_path / "a.rrd")
-    Scene(stream, casting).show(np.arange(4.0), 0, [casting.standing(alphas)])
+    Scene(stream, visual).show(np.arange(4.0), 0, [visual.standing(alphas)])
     stream.close()
     bones = sorted((row for row in entities(tmp_path / "a.rrd")["/scene/robot/bones"] if "film" in row), key=seconds)
     model, data = small.merged.new()

@@ -11,9 +11,9 @@ import pytest
 
 from toolkit.errors import ToolkitError
 from toolkit.inspection.appearance import ROUND, geom_triangles, simplified
-from toolkit.inspection.casting import casting_of
 from toolkit.inspection.furniture import furniture, opacity
 from toolkit.inspection.report import page, stills
+from toolkit.inspection.visual import visual_of
 from toolkit.runs.run import Run
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
@@ -126,20 +126,20 @@ def test_without_graphics_the_page_says_so(finished, small, tmp_path, monkeypatc
     def refuse(*_):
         raise ToolkitError("no off-screen rendering here")
 
-    monkeypatch.setattr(page, "studio_of", refuse)
+    monkeypatch.setattr(page, "renderer_of", refuse)
     told = page.write_report(finished, small.merged, small.tree("l1", "steiner").to_json(), tmp_path / "page").read_text(encoding="utf-8")
     assert "no off-screen rendering here" in told and "morph-1" not in told
 
 
 def test_stills_show_one_robot_turning_into_another(small):
     try:
-        studio = stills.Studio(casting_of(small.merged), (96, 96))
+        renderer = stills.ArmRenderer(visual_of(small.merged), (96, 96))
     except ToolkitError as error:
         pytest.skip(str(error))
     source, target = small.space.betas
-    pictures = [studio.take(source + share * (target - source)).astype(float) for share in (0.0, 0.5, 1.0)]
-    again = studio.take(source).astype(float)
-    studio.close()
+    pictures = [renderer.take(source + share * (target - source)).astype(float) for share in (0.0, 0.5, 1.0)]
+    again = renderer.take(source).astype(float)
+    renderer.close()
     np.testing.assert_array_equal(again, pictures[0])
     apart = [np.abs(a - b).mean() for a, b in ((pictures[0], pictures[2]), (pictures[0], pictures[1]), (pictures[1], pictures[2]))]
     assert apart[0] > apart[1] > 0.5 and apart[0] > apart[2] > 0.5, f"halfway lies between the ends: {apart}"
@@ -168,14 +168,14 @@ def test_one_robot_is_always_solid():
 
 def test_the_goal_and_the_object_are_drawn_where_they_are(small):
     try:
-        studio = stills.Studio(casting_of(small.merged), (96, 96))
+        renderer = stills.ArmRenderer(visual_of(small.merged), (96, 96))
     except ToolkitError as error:
         pytest.skip(str(error))
-    nobody = (np.zeros((len(studio.worn), 3)), np.tile((1.0, 0, 0, 0), (len(studio.worn), 1)))
-    draw = lambda **more: studio.draw(*nobody, np.zeros(2), **more).astype(int)  # noqa: E731
+    nobody = (np.zeros((len(renderer.instances), 3)), np.tile((1.0, 0, 0, 0), (len(renderer.instances), 1)))
+    draw = lambda **more: renderer.draw(*nobody, np.zeros(2), **more).astype(int)  # noqa: E731
     empty, high = draw(), draw(carried=np.array([-0.1, 0.0, 1.1, 1, 0, 0, 0]))
     goal = draw(goal=np.array([-0.1, 0.0, 1.1]))
-    studio.close()
+    renderer.close()
     red = lambda picture: np.argwhere(picture[..., 0] > picture[..., 1] + 80).mean(axis=0)  # noqa: E731
     assert red(high)[0] < red(empty)[0] - 10, "the brick is lifted"
     green = np.argwhere(np.abs(goal - empty).sum(axis=-1) > 30)

@@ -302,10 +302,10 @@ def morph(
     if still is not None:
         viewer.still([out], still, _last(out, at), size)
     if lineup is not None:
-        from toolkit.inspection.casting import casting_of
         from toolkit.inspection.report.stills import line_up
+        from toolkit.inspection.visual import visual_of
 
-        line_up(casting_of(lab.merged), lab.space.names, lab.space.betas, lineup)
+        line_up(visual_of(lab.merged), lab.space.names, lab.space.betas, lineup)
     print(f"{out}; look at it with: {told('view', out)}")
 
 

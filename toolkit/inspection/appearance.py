@@ -41,11 +41,11 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
+class Instance:
     """One link of one robot as the merged robot wears it.
 
     Attributes:
-        robot: index in the matching.  mesh: index in the wardrobe's meshes.
+        robot: index in the matching.  mesh: index in the appearance's meshes.
         body: id in the robot's own scene.  slot: index of the link that carries it, -1 for the world.
         position: (3,) [m] and quaternion: (4,) w first, of the mesh in that slot's frame.
     """
@@ -58,7 +58,7 @@ class Worn:
     quaternion: np.ndarray
 
 
-class Wardrobe:
+class Appearance:
     """The meshes of all robots of a matching, each once, and where they hang.
 
     Args:
@@ -66,30 +66,30 @@ class Wardrobe:
 
     Attributes:
         meshes: without repetition.
-        worn: every link of every robot.
+        instances: every link of every robot.
     """
 
     def __init__(self, matching: Matching) -> None:
         self.matching = matching
         self.meshes: list[Mesh] = []
-        self.worn: list[Worn] = []
+        self.instances: list[Instance] = []
         known: dict[bytes, int] = {}
         for index, system in enumerate(matching.systems):
             for body, mesh in link_meshes(system.model).items():
                 if mesh.digest not in known:
                     known[mesh.digest] = len(self.meshes)
                     self.meshes.append(mesh)
-                self.worn.append(_worn(index, system, matching, known[mesh.digest], body))
+                self.instances.append(_instance(index, system, matching, known[mesh.digest], body))
 
     def poses(self, data: mujoco.MjData, links: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """World positions (n_worn, 3) [m] and quaternions (n_worn, 4) of everything worn by a merged robot.
+        """World positions (n_instances, 3) [m] and quaternions (n_instances, 4) of all instances on a merged robot.
 
         Args:
             data: of the merged robot, body frames computed.
             links: body ids (n_slots,) of its slots.
         """
-        positions, quaternions = np.empty((len(self.worn), 3)), np.empty((len(self.worn), 4))
-        for k, item in enumerate(self.worn):
+        positions, quaternions = np.empty((len(self.instances), 3)), np.empty((len(self.instances), 4))
+        for k, item in enumerate(self.instances):
             body = links[item.slot] if item.slot >= 0 else 0
             mujoco.mju_rotVecQuat(positions[k], item.position, data.xquat[body])
             positions[k] += data.xpos[body]
@@ -110,14 +110,14 @@ def weights(alpha: np.ndarray, betas: np.ndarray) -> np.ndarray:
     return np.array([1.0 - shares.max(), *shares])
 
 
-def _worn(index: int, system: System, matching: Matching, mesh: int, body: int) -> Worn:
+def _instance(index: int, system: System, matching: Matching, mesh: int, body: int) -> Instance:
     data = mujoco.MjData(system.model)
     data.qpos[:] = system.start
     mujoco.mj_kinematics(system.model, data)
     slot = _slot_of(system, matching, body)
     # At the start posture a slot's frame has world axes and stands at its anchor.
     anchor = system.joints[slot].screw.anchor if slot >= 0 else np.zeros(3)
-    return Worn(index, mesh, body, slot, np.array(data.xpos[body]) - anchor, np.array(data.xquat[body]))
+    return Instance(index, mesh, body, slot, np.array(data.xpos[body]) - anchor, np.array(data.xquat[body]))
 
 
 def _slot_of(system: System, matching: Matching, body: int) -> int:

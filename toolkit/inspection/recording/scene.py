@@ -15,11 +15,11 @@ import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
 from toolkit.inspection.appearance import Mesh
-from toolkit.inspection.casting import Cast, Casting, Part, Primitives, held
 from toolkit.inspection.film import Film, PickFilm
 from toolkit.inspection.furniture import opacity
 from toolkit.inspection.recording.layout import Eye, robot_view
 from toolkit.inspection.recording.stream import Stream, x_first
+from toolkit.inspection.visual import Motion, Part, Primitives, Visual, held
 
 FAINT = 0.02
 """A robot of less weight is not drawn."""
@@ -31,49 +31,49 @@ LABEL, GOAL, TRAIL, AIM, PUSH = (70, 74, 82), (0, 158, 115), (0, 114, 178), (230
 
 
 class Scene:
-    """Draws casts.
+    """Draws motions.
 
     Args:
         stream: to draw into.
-        casting: that makes them.
+        visual: that makes them.
         tolerance: [m] around a goal that has a place; None: the task has none.
         offsets: [m] where the robots stand; one, or one per robot that is compared.
     """
 
     def __init__(
-        self, stream: Stream, casting: Casting, tolerance: float | None = None, offsets: Sequence[np.ndarray] = (np.zeros(3),)
+        self, stream: Stream, visual: Visual, tolerance: float | None = None, offsets: Sequence[np.ndarray] = (np.zeros(3),)
     ) -> None:
-        self.stream, self.casting, self.offsets = stream, casting, [np.asarray(offset, float) for offset in offsets]
-        self._users = [np.flatnonzero(casting.instances[:, 0] == mesh).tolist() for mesh in range(len(casting.meshes))]
+        self.stream, self.visual, self.offsets = stream, visual, [np.asarray(offset, float) for offset in offsets]
+        self._users = [np.flatnonzero(visual.instances[:, 0] == mesh).tolist() for mesh in range(len(visual.meshes))]
         self._shown: dict[int, bool] = {}
-        names = [mesh.name for mesh in casting.meshes]
+        names = [mesh.name for mesh in visual.meshes]
         self.entities = [f"scene/robot/{name}" if names.count(name) == 1 else f"scene/robot/{name}-{k}" for k, name in enumerate(names)]
-        for entity, mesh in zip(self.entities, casting.meshes, strict=True):
+        for entity, mesh in zip(self.entities, visual.meshes, strict=True):
             stream.static(entity, _triangles(mesh))
-        for name, drawn in casting.primitives.items():
+        for name, drawn in visual.primitives.items():
             stream.static(f"scene/robot/{name}", _style(drawn, len(self.offsets)))
-        if casting.carried is not None:
+        if visual.carried is not None:
             stream.static("scene/goal", rr.Ellipsoids3D.from_fields(colors=GOAL, fill_mode="majorwireframe", line_radii=0.001))
             stream.static("scene/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.0015))
             stream.static("scene/target", rr.Points3D.from_fields(colors=AIM, radii=0.006))
             stream.static("scene/contacts", rr.Arrows3D.from_fields(colors=PUSH, radii=0.0015))
-            stream.static("scene/object", _triangles(casting.carried))
+            stream.static("scene/object", _triangles(visual.carried))
         stream.static("scene/label", rr.Points3D.from_fields(colors=LABEL, radii=0.001, show_labels=True))
-        stream.static("framing", rr.Points3D(np.concatenate([casting.framing.whole, casting.framing.near])))
-        for k, mesh in enumerate(casting.scenery):
+        stream.static("framing", rr.Points3D(np.concatenate([visual.framing.whole, visual.framing.near])))
+        for k, mesh in enumerate(visual.scenery):
             upright = [(0.0, 0.0, 0.0, 1.0)] * len(offsets)
             stream.static(f"scene/furniture/{k}", _triangles(mesh), rr.InstancePoses3D(translations=self.offsets, quaternions=upright))
         self.tolerance = tolerance
 
-    def show(self, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
-        """Draw robots over T frames, from ``times`` (T,) [s] on; a cast that is shorter stands still at its end."""
-        casts = [cast.moved(offset).stretched(len(times)) for cast, offset in zip(casts, self.offsets, strict=True)]
+    def show(self, times: np.ndarray, iteration: int, motions: Sequence[Motion]) -> None:
+        """Draw robots over T frames, from ``times`` (T,) [s] on; a motion that is shorter stands still at its end."""
+        motions = [motion.moved(offset).stretched(len(times)) for motion, offset in zip(motions, self.offsets, strict=True)]
         for mesh in range(len(self.entities)):
-            self._show_mesh(mesh, times, iteration, casts)
-        for name, drawn in self.casting.primitives.items():
-            self._show_primitives(name, drawn, times, iteration, casts)
-        if self.casting.carried is not None:
-            carried = np.stack([cast.carried for cast in casts], axis=1)
+            self._show_mesh(mesh, times, iteration, motions)
+        for name, drawn in self.visual.primitives.items():
+            self._show_primitives(name, drawn, times, iteration, motions)
+        if self.visual.carried is not None:
+            carried = np.stack([motion.carried for motion in motions], axis=1)
             self.stream.rows("scene/object", times, iteration, _poses(carried[..., :3], carried[..., 3:]))
 
     def act(self, times: np.ndarray, iteration: int, films: Sequence[Film]) -> None:
@@ -95,7 +95,7 @@ class Scene:
 
     def clear_act(self, time: float, iteration: int) -> None:
         """Take away what belongs to an episode."""
-        if self.casting.carried is None:
+        if self.visual.carried is None:
             return
         none, at = np.empty((0, 3)), (np.array([time]), iteration)
         self.stream.rows("scene/goal", *at, rr.Ellipsoids3D.columns(centers=none, half_sizes=none).partition([0]))
@@ -105,18 +105,18 @@ class Scene:
 
     def label(self, time: float, iteration: int, texts: Sequence[str]) -> None:
         """Write over each robot what it is."""
-        places = [self.casting.framing.label + offset for offset in self.offsets]
+        places = [self.visual.framing.label + offset for offset in self.offsets]
         self.stream.row("scene/label", time, iteration, rr.Points3D.from_fields(positions=places, labels=texts))
 
     # ---- parts ------------------------------------------------------------------------------------------------
 
-    def _show_mesh(self, mesh: int, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
+    def _show_mesh(self, mesh: int, times: np.ndarray, iteration: int, motions: Sequence[Motion]) -> None:
         users = self._users[mesh]
-        robots = self.casting.instances[users, 1]
-        positions = np.concatenate([cast.positions[:, users] for cast in casts], axis=1)
-        quaternions = np.concatenate([cast.quaternions[:, users] for cast in casts], axis=1)
-        faint = FAINT if len(casts) == 1 else 0.5  # one opacity serves all instances: of robots side by side, no ghosts
-        seen = np.concatenate([_seen(cast, users, robots, faint) for cast in casts], axis=1)
+        robots = self.visual.instances[users, 1]
+        positions = np.concatenate([motion.positions[:, users] for motion in motions], axis=1)
+        quaternions = np.concatenate([motion.quaternions[:, users] for motion in motions], axis=1)
+        faint = FAINT if len(motions) == 1 else 0.5  # one opacity serves all instances: of robots side by side, no ghosts
+        seen = np.concatenate([_seen(motion, users, robots, faint) for motion in motions], axis=1)
         if not seen.any():
             if self._shown.get(mesh, True):
                 times, seen, positions, quaternions = times[:1], seen[:1], positions[:1], quaternions[:1]
@@ -124,19 +124,20 @@ class Scene:
                 return
         self._shown[mesh] = bool(seen.any())
         unique = sorted(set(robots.tolist()))
-        weights = [cast.weights[: len(times)] for cast in casts]
+        weights = [motion.weights[: len(times)] for motion in motions]
         shown = np.max([opacity(each[:, unique].sum(axis=1), each.max(axis=1)) for each in weights], axis=0)
         colours = [(255, 255, 255, int(value)) for value in np.round(255 * shown)]
         columns = _poses(positions[seen], quaternions[seen], lengths=seen.sum(axis=1))
         self.stream.rows(self.entities[mesh], times, iteration, columns, rr.Mesh3D.columns(albedo_factor=colours))
 
-    def _show_primitives(self, name: str, drawn: Primitives, times: np.ndarray, iteration: int, casts: Sequence[Cast]) -> None:
-        part = tuple(np.concatenate([cast.parts[name][k] for cast in casts], axis=1) for k in range(3))
+    def _show_primitives(self, name: str, drawn: Primitives, times: np.ndarray, iteration: int, motions: Sequence[Motion]) -> None:
+        part = tuple(np.concatenate([motion.parts[name][k] for motion in motions], axis=1) for k in range(3))
         columns = _solids(drawn, part)
         if drawn.columns is not None:
-            shown = np.concatenate([opacity(cast.weights[:, drawn.columns], cast.weights.max(axis=1, keepdims=True)) for cast in casts],
-                                   axis=1)
-            colours = np.tile(drawn.colours, (len(times), len(casts), 1)).astype(float)
+            shown = np.concatenate(
+                [opacity(motion.weights[:, drawn.columns], motion.weights.max(axis=1, keepdims=True)) for motion in motions], axis=1
+            )
+            colours = np.tile(drawn.colours, (len(times), len(motions), 1)).astype(float)
             colours[..., 3] *= shown
             columns["colors"] = np.round(colours).astype(np.uint8).reshape(-1, 4)
         archetype = ARCHETYPES[drawn.kind]
@@ -217,13 +218,13 @@ def _z_axes(quaternions: np.ndarray) -> np.ndarray:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def _seen(cast: Cast, users: list[int], robots: np.ndarray, faint: float) -> np.ndarray:
+def _seen(motion: Motion, users: list[int], robots: np.ndarray, faint: float) -> np.ndarray:
     """(T, n_users): which instances of a mesh are drawn; of two in the same place, as arms that robots share, one."""
-    seen = cast.weights[:, robots] > faint
+    seen = motion.weights[:, robots] > faint
     for later in range(1, len(users)):
         for earlier in range(later):
             if robots[earlier] != robots[later]:
-                apart = np.abs(cast.positions[:, users[earlier]] - cast.positions[:, users[later]]).max(axis=1)
+                apart = np.abs(motion.positions[:, users[earlier]] - motion.positions[:, users[later]]).max(axis=1)
                 seen[:, later] &= ~(seen[:, earlier] & (apart < 1e-3))
     return seen
 

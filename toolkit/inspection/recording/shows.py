@@ -13,7 +13,6 @@ import rerun.blueprint as rrb
 
 from tasks.pick import PickTask
 from toolkit.errors import ToolkitError
-from toolkit.inspection.casting import AT_THE_TABLE, Framing, casting_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.film import Film, shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
@@ -24,6 +23,7 @@ from toolkit.inspection.recording.scene import Scene, recorded_framing, scene_vi
 from toolkit.inspection.recording.story import Cost, Story, story_layout
 from toolkit.inspection.recording.stream import FILM, Stream
 from toolkit.inspection.recording.viewer import chunks_of
+from toolkit.inspection.visual import AT_THE_TABLE, Framing, visual_of
 from toolkit.io.quoting import markdown
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
@@ -132,16 +132,16 @@ def morph(merged: Merged, source: str, targets: Sequence[str], path: Path, tree:
         frames: per target.
     """
     stream = Stream(path)
-    casting, plan = casting_of(merged), Plan(tree)
-    page, scene = EvolutionPage(stream, plan, merged.space), Scene(stream, casting)
-    eyes, pick = (casting.framing.whole, casting.framing.near), isinstance(merged.task, PickTask)
+    visual, plan = visual_of(merged), Plan(tree)
+    page, scene = EvolutionPage(stream, plan, merged.space), Scene(stream, visual)
+    eyes, pick = (visual.framing.whole, visual.framing.near), isinstance(merged.task, PickTask)
     stream.arrange(pages_layout(lambda: scene_views(eyes, pick) | evolution_views(plan, alpha_extent(merged.space)), "morph"))
     clock = 0.0
     for number, target in enumerate(targets):
         alphas = _along(plan, source, target, frames)
         times = clock + np.arange(frames) / 20.0
         iterations = number * frames
-        scene.show(times, iterations, [casting.standing(alphas)])
+        scene.show(times, iterations, [visual.standing(alphas)])
         scene.label(clock, iterations, [f"{source} to {target}"])
         edges = _edges_to(plan, source, target)
         for edge in edges:
@@ -165,23 +165,23 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> t
     """
     merged = sides[0][1].merged
     stream = Stream(path)
-    casting = casting_of(merged)
+    visual = visual_of(merged)
     middle = (len(sides) - 1) / 2
-    offsets = [np.array([0.0, casting.framing.apart * (k - middle), 0.0]) for k in range(len(sides))]
+    offsets = [np.array([0.0, visual.framing.apart * (k - middle), 0.0]) for k in range(len(sides))]
     pages = [RolloutsPage(stream, merged, _side(k)) for k in range(len(sides))]
-    scene = Scene(stream, casting, pages[0].tolerance, offsets)
-    films, casts = [], []
+    scene = Scene(stream, visual, pages[0].tolerance, offsets)
+    films, motions = [], []
     for _, known, target in sides:
         if target not in known.trained:
             raise ToolkitError(f"{known.folder} has no policy for {target!r} yet; it has: {', '.join(known.trained) or 'none'}")
         policy, beta = known.trained[target], merged.space.beta(target)
         film = shoot(known.native(target), MeanActor(policy), seed, beta)
         films.append(film)
-        casts.append(casting.native(film, target))
-    layout = partial(_compare_layout, [label for label, _, _ in sides], casting.framing, pages[0].pick)
+        motions.append(visual.native(film, target))
+    layout = partial(_compare_layout, [label for label, _, _ in sides], visual.framing, pages[0].pick)
     stream.arrange(layout(False))
     times = films[0].interval * np.arange(max(len(film.qpos) for film in films))
-    scene.show(times, 0, casts)
+    scene.show(times, 0, motions)
     scene.act(times, 0, films)
     scene.label(0.0, 0, [f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)])
     for page, (label, _, _), film in zip(pages, sides, films, strict=True):

@@ -14,7 +14,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.casting import casting_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.film import shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
@@ -23,6 +22,7 @@ from toolkit.inspection.recording.learning import LearningPage, learning_views
 from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.inspection.recording.scene import Scene, scene_views
 from toolkit.inspection.recording.stream import Stream
+from toolkit.inspection.visual import visual_of
 from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
@@ -101,16 +101,16 @@ class Story:
         self._known: list[tuple[Phase, Take]] = []
         self._shown: set[str] = set()  # names of phases
         self._longest = 0.0
-        self._casting = casting_of(merged)
+        self._visual = visual_of(merged)
         self.plan = Plan(tree)
         self.evolution = EvolutionPage(stream, self.plan, merged.space)
         told = dict.fromkeys(record["path"] for record in records)
         older = not all(path.startswith("path 1") for path in told)  # paths were counted in the order of play: the plan has other names
         self.learning = LearningPage(stream, told if older else dict.fromkeys([*self.plan.paths, *told]))
         self.rollouts = RolloutsPage(stream, merged)
-        self.scene = Scene(stream, self._casting, self.rollouts.tolerance)
+        self.scene = Scene(stream, self._visual, self.rollouts.tolerance)
         self.summary("The run goes on; this page fills when it ends.")
-        framing = self._casting.framing
+        framing = self._visual.framing
         stream.arrange(story_layout(self.plan, alpha_extent(merged.space), (framing.whole, framing.near), self.rollouts.pick))
         source = next(name for name, node in self.plan.nodes.items() if node["kind"] == "source")
         self._targets = [name for name, node in self.plan.nodes.items() if node["kind"] == "target"]
@@ -216,7 +216,7 @@ class Story:
 
     def _stand(self, times: np.ndarray, alphas: np.ndarray, targets: list[str], label: str) -> None:
         self.scene.clear_act(float(times[0]), self.iteration)
-        self.scene.show(times, self.iteration, [self._casting.standing(alphas)])
+        self.scene.show(times, self.iteration, [self._visual.standing(alphas)])
         self.scene.label(float(times[0]), self.iteration, [label])
         self.evolution.visit(times, self.iteration, alphas, targets)
 
@@ -247,8 +247,8 @@ class Story:
         actor = policy.act if take.noise else MeanActor(policy)
         film = shoot(plant, actor, take.seed, take.alpha)
         times = self.clock + film.interval * np.arange(len(film.qpos))
-        cast = self._casting.playing(film, take.alpha) if phase.stage == "evolve" else self._casting.native(film, phase.targets[0])
-        self.scene.show(times, self.iteration, [cast])
+        motion = self._visual.playing(film, take.alpha) if phase.stage == "evolve" else self._visual.native(film, phase.targets[0])
+        self.scene.show(times, self.iteration, [motion])
         self.scene.act(times, self.iteration, [film])
         self.scene.label(float(times[0]), self.iteration, [f"{phase.path}, phase {phase.number}: {', '.join(take.roles)}"])
         self.rollouts.act(times, self.iteration, film)

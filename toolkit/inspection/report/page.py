@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 
 from toolkit.capability.figure import audit_figure
 from toolkit.errors import ToolkitError
-from toolkit.inspection.casting import casting_of
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.report import figures
-from toolkit.inspection.report.stills import studio_of
+from toolkit.inspection.report.stills import renderer_of
+from toolkit.inspection.visual import visual_of
 from toolkit.io.atomic import write_atomically
 from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, load_phases
@@ -122,16 +122,16 @@ def walked_edges(plan: Plan, records: Sequence[dict[str, Any]], phases: dict[str
 
 def _strips(plan: Plan, merged: Merged, progress: Callable[[str], None]) -> Iterator[Figure]:
     """Stills along every edge of the tree."""
-    studio = studio_of(casting_of(merged))
+    renderer = renderer_of(visual_of(merged))
     try:
         for edge in plan.edges:
             progress(f"stills from {edge['from']} to {edge['to']}")
             start, end = (np.array(plan.nodes[edge[key]]["alpha"]) for key in ("from", "to"))
             shares = np.linspace(0.0, 1.0, STILLS)
-            pictures = [studio.take(np.clip(start + share * (end - start), 0.0, 1.0)) for share in shares]
+            pictures = [renderer.take(np.clip(start + share * (end - start), 0.0, 1.0)) for share in shares]
             yield figures.strip_figure(f"{edge['from']} to {edge['to']}", pictures, shares)
     finally:
-        studio.close()
+        renderer.close()
 
 
 def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str, Phase], report: dict[str, Any] | None,

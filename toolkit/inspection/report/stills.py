@@ -10,8 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from toolkit.errors import ToolkitError
 from toolkit.inspection.appearance import geom_colour
-from toolkit.inspection.casting import ALWAYS, SHAPE, ArmCasting, Cast, Casting, ModelCasting
 from toolkit.inspection.furniture import opacity
+from toolkit.inspection.visual import ALWAYS, SHAPE, ArmVisual, ModelVisual, Motion, Visual
 from toolkit.io.quoting import plain
 from toolkit.morphology.family import MergedModel
 
@@ -61,33 +61,33 @@ class _Camera:
         self._gl.free()
 
 
-class Studio(_Camera):
+class ArmRenderer(_Camera):
     """Takes pictures of arms with grippers at their table.
 
     Args:
-        casting: of the merged robot.
+        visual: of the merged robot.
         size: width and height [pixels].
 
     Raises:
         ToolkitError: no off-screen rendering here.
     """
 
-    def __init__(self, casting: ArmCasting, size: tuple[int, int] = (360, 360)) -> None:
-        super().__init__(_studio_model(casting), size)
-        self.casting, self.worn = casting, casting.wardrobe.worn
-        self._drawn = [self._model.geom(f"worn{k}").id for k in range(len(self.worn))]
+    def __init__(self, visual: ArmVisual, size: tuple[int, int] = (360, 360)) -> None:
+        super().__init__(_arm_model(visual), size)
+        self.visual, self.instances = visual, visual.appearance.instances
+        self._drawn = [self._model.geom(f"instance{k}").id for k in range(len(self.instances))]
         self._camera.lookat[:] = CAMERA["lookat"]
         self._camera.distance, self._camera.azimuth, self._camera.elevation = CAMERA["distance"], CAMERA["azimuth"], CAMERA["elevation"]
 
     def take(self, alpha: np.ndarray) -> np.ndarray:
         """Picture (height, width, 3), 0 to 255, of the robot alpha (D,) at the start posture."""
-        cast = self.casting.standing([alpha])
-        return self.draw(cast.positions[0], cast.quaternions[0], cast.weights[0])
+        motion = self.visual.standing([alpha])
+        return self.draw(motion.positions[0], motion.quaternions[0], motion.weights[0])
 
-    def shot(self, cast: Cast, frame: int, goal: np.ndarray | None) -> np.ndarray:
-        """Picture of a frame of a cast; of an episode with its object and its goal (3,) [m], else with the object where it begins."""
-        carried = None if goal is None else cast.carried[frame]
-        return self.draw(cast.positions[frame], cast.quaternions[frame], cast.weights[frame], carried, goal)
+    def shot(self, motion: Motion, frame: int, goal: np.ndarray | None) -> np.ndarray:
+        """Picture of a frame of a motion; of an episode with its object and its goal (3,) [m], else with the object where it begins."""
+        carried = None if goal is None else motion.carried[frame]
+        return self.draw(motion.positions[frame], motion.quaternions[frame], motion.weights[frame], carried, goal)
 
     def draw(
         self, positions: np.ndarray, quaternions: np.ndarray, weights: np.ndarray, carried: np.ndarray | None = None,
@@ -96,21 +96,21 @@ class Studio(_Camera):
         """Picture (height, width, 3), 0 to 255.
 
         Args:
-            positions, quaternions: (n_worn, 3) [m] and (n_worn, 4), w first, of everything worn, world.
+            positions, quaternions: (n_instances, 3) [m] and (n_instances, 4), w first, of all instances, world.
             weights: (n_robots,) how much of each robot shows.
             carried: (7,) position [m] and quaternion of the object, world; None: where it begins.
             goal: (3,) [m] where it should be; None: not shown.
         """
-        thing = self.casting.merged.template.body("object")
+        thing = self.visual.merged.template.body("object")
         self._data.mocap_pos[-2] = thing.pos if carried is None else carried[:3]
         self._data.mocap_quat[-2] = thing.quat if carried is None else carried[3:]
         self._data.mocap_pos[-1] = 0.0 if goal is None else goal
         self._model.geom_rgba[self._model.geom("goal").id, 3] = 0.0 if goal is None else 0.35
         drawn: list[int] = []
-        shares = np.zeros(len(self.worn))
-        for k, item in enumerate(self.worn):
+        shares = np.zeros(len(self.instances))
+        for k, item in enumerate(self.instances):
             self._data.mocap_pos[k], self._data.mocap_quat[k] = positions[k], quaternions[k]
-            twins = [j for j in drawn if self.worn[j].mesh == item.mesh and self.worn[j].robot != item.robot
+            twins = [j for j in drawn if self.instances[j].mesh == item.mesh and self.instances[j].robot != item.robot
                      and np.abs(positions[j] - positions[k]).max() < 1e-3]
             shares[k] = weights[item.robot]
             if twins:  # arms that robots share: one picture, with the weight of both
@@ -123,11 +123,11 @@ class Studio(_Camera):
         return self._taken()
 
 
-class ModelStudio(_Camera):
+class ModelRenderer(_Camera):
     """Takes pictures of robots of a family in their task's scene.
 
     Args:
-        casting: of the merged robot.
+        visual: of the merged robot.
         size: width and height [pixels].
         near: look at the robot, and not at the whole scene.
 
@@ -135,15 +135,15 @@ class ModelStudio(_Camera):
         ToolkitError: no off-screen rendering here.
     """
 
-    def __init__(self, casting: ModelCasting, size: tuple[int, int] = (360, 360), near: bool = True) -> None:
-        model = _lit_model(casting.merged, size)
+    def __init__(self, visual: ModelVisual, size: tuple[int, int] = (360, 360), near: bool = True) -> None:
+        model = _lit_model(visual.merged, size)
         super().__init__(model, size)
-        self.casting = casting
-        self._colours = {geom: geom_colour(model, geom) / 255 for geom, column in casting.geoms.items() if column != ALWAYS}
-        for geom, column in casting.geoms.items():
+        self.visual = visual
+        self._colours = {geom: geom_colour(model, geom) / 255 for geom, column in visual.geoms.items() if column != ALWAYS}
+        for geom, column in visual.geoms.items():
             if column == SHAPE:
                 model.geom_group[geom], self._colours[geom][3] = 0, 1.0
-        eye, point = casting.framing.near if near else casting.framing.whole
+        eye, point = visual.framing.near if near else visual.framing.whole
         forward = point - eye
         self._camera.lookat[:], self._camera.distance = point, np.linalg.norm(forward)
         self._camera.azimuth = np.degrees(np.arctan2(forward[1], forward[0]))
@@ -153,20 +153,20 @@ class ModelStudio(_Camera):
 
     def take(self, alpha: np.ndarray) -> np.ndarray:
         """Picture (height, width, 3), 0 to 255, of the robot alpha (D,) where the episode of seed 0 begins."""
-        return self.shot(self.casting.standing([alpha]), 0, None)
+        return self.shot(self.visual.standing([alpha]), 0, None)
 
-    def shot(self, cast: Cast, frame: int, goal: np.ndarray | None) -> np.ndarray:
-        """Picture of a frame of a cast; a goal that the task has is one of the model's sites."""
-        self.casting.pose(cast, frame, self._model, self._data)
-        shares = opacity(cast.weights[frame], cast.weights[frame].max())
+    def shot(self, motion: Motion, frame: int, goal: np.ndarray | None) -> np.ndarray:
+        """Picture of a frame of a motion; a goal that the task has is one of the model's sites."""
+        self.visual.pose(motion, frame, self._model, self._data)
+        shares = opacity(motion.weights[frame], motion.weights[frame].max())
         for geom, colour in self._colours.items():
-            self._model.geom_rgba[geom] = (*colour[:3], colour[3] * shares[self.casting.geoms[geom]])
+            self._model.geom_rgba[geom] = (*colour[:3], colour[3] * shares[self.visual.geoms[geom]])
         return self._taken()
 
 
-def studio_of(casting: Casting, size: tuple[int, int] = (360, 360), near: bool = True) -> Studio | ModelStudio:
-    """Takes pictures of whatever robots there are; ``near``, of robots of a family, as of ModelStudio."""
-    return ModelStudio(casting, size, near) if isinstance(casting, ModelCasting) else Studio(casting, size)
+def renderer_of(visual: Visual, size: tuple[int, int] = (360, 360), near: bool = True) -> ArmRenderer | ModelRenderer:
+    """Takes pictures of whatever robots there are; ``near``, of robots of a family, as of ModelRenderer."""
+    return ModelRenderer(visual, size, near) if isinstance(visual, ModelVisual) else ArmRenderer(visual, size)
 
 
 def write_on(picture: Image.Image, place: tuple[int, int], text: str, size: int) -> None:
@@ -176,22 +176,22 @@ def write_on(picture: Image.Image, place: tuple[int, int], text: str, size: int)
                                  stroke_fill=rim)
 
 
-def line_up(casting: Casting, names: Sequence[str], betas: np.ndarray, out: Path) -> None:
+def line_up(visual: Visual, names: Sequence[str], betas: np.ndarray, out: Path) -> None:
     """Draw robots side by side, each with its name, into a PNG.
 
     Args:
-        casting: of the merged robot.
+        visual: of the merged robot.
         names, betas: of the robots, (n_robots, D).
         out: the file.
 
     Raises:
         ToolkitError: no off-screen rendering here, or the file cannot be written.
     """
-    studio = studio_of(casting, LINED_UP)
+    renderer = renderer_of(visual, LINED_UP)
     try:
-        row = Image.fromarray(np.concatenate([studio.take(beta) for beta in betas], axis=1))
+        row = Image.fromarray(np.concatenate([renderer.take(beta) for beta in betas], axis=1))
     finally:
-        studio.close()
+        renderer.close()
     for k, name in enumerate(names):
         write_on(row, (k * LINED_UP[0] + 10, 8), name, 17)
     try:
@@ -200,27 +200,28 @@ def line_up(casting: Casting, names: Sequence[str], betas: np.ndarray, out: Path
         raise ToolkitError(f"{out} cannot be written ({error.strerror or error}); free space there, or choose another place") from None
 
 
-def _studio_model(casting: ArmCasting) -> mujoco.MjModel:
-    """Every worn mesh on a body that can be put anywhere; a table, the object, a light background."""
-    merged, wardrobe = casting.merged, casting.wardrobe
+def _arm_model(visual: ArmVisual) -> mujoco.MjModel:
+    """Every instance on a body that can be put anywhere; a table, the object, a light background."""
+    merged, appearance = visual.merged, visual.appearance
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [AMBIENT] * 3, [DIFFUSE] * 3
     spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
                      rgb1=SKY, rgb2=SKY, width=64, height=384)
-    for index, mesh in enumerate(wardrobe.meshes):
+    for index, mesh in enumerate(appearance.meshes):
         asset = spec.add_mesh(name=f"mesh{index}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
-    for k, item in enumerate(wardrobe.worn):
-        colour = wardrobe.meshes[item.mesh].colours.mean(axis=0) / 255
-        body = spec.worldbody.add_body(name=f"worn{k}", mocap=True)
-        body.add_geom(name=f"worn{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{item.mesh}", contype=0, conaffinity=0, rgba=colour)
-    for mesh in casting.scenery:
+    for k, item in enumerate(appearance.instances):
+        colour = appearance.meshes[item.mesh].colours.mean(axis=0) / 255
+        body = spec.worldbody.add_body(name=f"instance{k}", mocap=True)
+        body.add_geom(name=f"instance{k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{item.mesh}", contype=0, conaffinity=0,
+                      rgba=colour)
+    for mesh in visual.scenery:
         asset = spec.add_mesh(name=mesh.name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         asset.uservert, asset.userface = mesh.vertices.ravel(), mesh.faces.ravel().astype(int)
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, contype=0, conaffinity=0,
                                 rgba=mesh.colours.mean(axis=0) / 255)
-    thing = casting.carried
+    thing = visual.carried
     asset = spec.add_mesh(name="object", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     asset.uservert, asset.userface = thing.vertices.ravel(), thing.faces.ravel().astype(int)
     spec.worldbody.add_body(name="object", mocap=True).add_geom(
@@ -238,7 +239,7 @@ def _lit_model(merged: MergedModel, size: tuple[int, int]) -> mujoco.MjModel:
     sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
     for texture in [texture for texture in spec.textures if texture.type == sky]:
         spec.delete(texture)
-    spec.add_texture(name="studio", type=sky, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=SKY, rgb2=SKY, width=64, height=384)
+    spec.add_texture(name="sky", type=sky, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=SKY, rgb2=SKY, width=64, height=384)
     if not spec.lights:
         spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [AMBIENT] * 3, [DIFFUSE] * 3
     model = spec.compile()

@@ -13,9 +13,9 @@ import numpy as np
 from PIL import Image
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.casting import Cast, Casting, casting_of
 from toolkit.inspection.film import Film, PickFilm, shoot
-from toolkit.inspection.report.stills import ModelStudio, Studio, studio_of, write_on
+from toolkit.inspection.report.stills import ArmRenderer, ModelRenderer, renderer_of, write_on
+from toolkit.inspection.visual import Motion, Visual, visual_of
 from toolkit.io.jsonfiles import read_object, require
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
@@ -61,14 +61,14 @@ def write_video(
     phases = sorted(load_phases(folder).values(), key=lambda phase: (phase.path, phase.number, phase.stage))
     if not phases:
         raise ToolkitError(f"{folder} keeps no phases to show (an older version's run, or none yet); transfer anew to have a film")
-    casting = casting_of(merged)
-    studio = studio_of(casting, SIZE, near=False)
-    scenes = _scenes(_Stage(folder, merged, policy, native, casting), phases, progress)
-    pictures = (picture for scene in scenes for picture in _drawn(studio, *scene))
+    visual = visual_of(merged)
+    renderer = renderer_of(visual, SIZE, near=False)
+    scenes = _scenes(_Stage(folder, merged, policy, native, visual), phases, progress)
+    pictures = (picture for scene in scenes for picture in _drawn(renderer, *scene))
     try:
         count = _write_gif(out, pictures) if out.suffix.lower() == ".gif" else _write_mp4(out, pictures)
     finally:
-        studio.close()
+        renderer.close()
     return count / RATE
 
 
@@ -76,31 +76,31 @@ class _Stage:
     """What it takes to play a run's scenes; arguments as of ``write_video``."""
 
     def __init__(
-        self, folder: Path, merged: Merged, policy: GaussianPolicy, native: Callable[[str], Drivable], casting: Casting
+        self, folder: Path, merged: Merged, policy: GaussianPolicy, native: Callable[[str], Drivable], visual: Visual
     ) -> None:
-        self.folder, self.merged, self.policy, self.native, self.casting = folder, merged, policy, native, casting
+        self.folder, self.merged, self.policy, self.native, self.visual = folder, merged, policy, native, visual
         self._plants: dict[str, Drivable] = {}
 
-    def turning(self, phases: list[Phase]) -> Cast:
+    def turning(self, phases: list[Phase]) -> Motion:
         """The robots of a path's phases, evenly by distance."""
         corners = np.array([phases[0].start, *(phase.start if phase.end is None else phase.end for phase in phases)])
         reach = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
         spots = np.linspace(0.0, reach[-1], int(RATE * TURNING))
         alphas = np.stack([np.interp(spots, reach, corners[:, k]) for k in range(corners.shape[1])], axis=1)
-        return self.casting.standing(np.clip(alphas, 0.0, 1.0))
+        return self.visual.standing(np.clip(alphas, 0.0, 1.0))
 
-    def episode(self, phase: Phase, take: Take) -> tuple[Cast, Film]:
+    def episode(self, phase: Phase, take: Take) -> tuple[Motion, Film]:
         """An episode played again: its robot, and what happened."""
         policy = phase.play_as(take, self.policy)
         actor = policy.act if take.noise else MeanActor(policy)
         if phase.stage == "evolve":
             film = shoot(merged_plant(self.merged, take.alpha, *self.merged.new()), actor, take.seed, take.alpha)
-            return self.casting.playing(film, take.alpha), film
+            return self.visual.playing(film, take.alpha), film
         name = phase.targets[0]
         if name not in self._plants:
             self._plants[name] = self.native(name)
         film = shoot(self._plants[name], actor, take.seed, take.alpha)
-        return self.casting.native(film, name), film
+        return self.visual.native(film, name), film
 
 
 def _frames(film: Film) -> list[int]:
@@ -108,7 +108,7 @@ def _frames(film: Film) -> list[int]:
     return np.arange(0.0, len(film.qpos), 1.0 / (RATE * film.interval)).astype(int).tolist()
 
 
-Scene = tuple[Cast, np.ndarray | None, str, Iterator[int]]
+Scene = tuple[Motion, np.ndarray | None, str, Iterator[int]]
 """Robots, goal or None, caption, and which of the robots' frames are shown."""
 
 
@@ -116,7 +116,7 @@ def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None])
     rest = [0] * int(RATE * REST)
     names = stage.merged.space.names
     report = read_report(stage.folder, ("targets",))
-    source = stage.casting.standing(stage.merged.space.betas[:1])
+    source = stage.visual.standing(stage.merged.space.betas[:1])
     yield source, None, f"{names[0]}, the source, to {', '.join(names[1:])}\n{_untrained(stage.folder)}", iter(rest * 3)
     every = landmarks([(phase, take) for phase in phases for take in phase.takes])
     shown = [scene for scene in every if {"first", "failure", "last"} & set(scene[1].roles)]
@@ -127,19 +127,19 @@ def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None])
         goals = ", ".join(own[-1].targets)
         progress(f"{path}, to {goals}")
         if evolving:
-            cast = stage.turning(evolving)
-            yield cast, None, f"{path}: the robot turns, on its way to {goals}", iter([*range(len(cast.weights)), *[-1] * len(rest)])
+            motion = stage.turning(evolving)
+            yield motion, None, f"{path}: the robot turns, on its way to {goals}", iter([*range(len(motion.weights)), *[-1] * len(rest)])
         for phase, take in [scene for scene in shown if scene[0].path == path]:
-            cast, film = stage.episode(phase, take)
+            motion, film = stage.episode(phase, take)
             goal = film.goal if isinstance(film, PickFilm) else None
             where = f"a robot on the way to {goals}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
             learned = learned or take.update > 0
             trained = f"after {take.update} updates there" if take.update else "as it came there" if learned else "untrained"
-            yield cast, goal, f"{path}: {where}, {trained}\n{film.verdict()}", iter([*_frames(film), *[-1] * len(rest)])
+            yield motion, goal, f"{path}: {where}, {trained}\n{film.verdict()}", iter([*_frames(film), *[-1] * len(rest)])
     for name, both in ((report or {}).get("targets") or {}).items():
-        cast = stage.casting.standing(stage.merged.space.beta(name)[None])
+        motion = stage.visual.standing(stage.merged.space.beta(name)[None])
         counts = f"{both['native']['successes']} of {both['native']['episodes']} unseen starts"
-        yield cast, None, f"{name}: success on {counts}, on the unmodified robot", iter(rest * 2)
+        yield motion, None, f"{name}: success on {counts}, on the unmodified robot", iter(rest * 2)
 
 
 def _untrained(folder: Path) -> str:
@@ -151,17 +151,19 @@ def _untrained(folder: Path) -> str:
     return f"untrained on the unmodified robots: {', '.join(rates)}" if rates else ""
 
 
-def _drawn(studio: Studio | ModelStudio, cast: Cast, goal: np.ndarray | None, text: str, frames: Iterator[int]) -> Iterator[Image.Image]:
+def _drawn(
+    renderer: ArmRenderer | ModelRenderer, motion: Motion, goal: np.ndarray | None, text: str, frames: Iterator[int]
+) -> Iterator[Image.Image]:
     """A scene's pictures; one that stands still is drawn once."""
     before, picture = None, None
     for frame in frames:
-        picture = picture if frame == before else _captioned(studio, cast, frame, goal, text)
+        picture = picture if frame == before else _captioned(renderer, motion, frame, goal, text)
         before = frame
         yield picture
 
 
-def _captioned(studio: Studio | ModelStudio, cast: Cast, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
-    picture = Image.fromarray(studio.shot(cast, frame, goal))
+def _captioned(renderer: ArmRenderer | ModelRenderer, motion: Motion, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
+    picture = Image.fromarray(renderer.shot(motion, frame, goal))
     lines = [line for words in text.split("\n") for line in textwrap.wrap(words, LETTERS)]
     for line, words in enumerate(lines):
         write_on(picture, (16, 12 + 26 * line), words, 19)

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolkit.inspection.appearance import Mesh, Wardrobe, body_mesh, geom_colour, geom_mesh, geom_triangles, weights
+from toolkit.inspection.appearance import Appearance, Mesh, body_mesh, geom_colour, geom_mesh, geom_triangles, weights
 from toolkit.inspection.film import Film
 from toolkit.inspection.furniture import furniture, world_meshes
 from toolkit.morphology.build import MergedRobot
@@ -86,7 +86,7 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Cast:
+class Motion:
     """One robot over T frames, world frame.
 
     Attributes:
@@ -102,17 +102,17 @@ class Cast:
     parts: dict[str, Part]
     carried: np.ndarray | None = None
 
-    def moved(self, offset: np.ndarray) -> "Cast":
+    def moved(self, offset: np.ndarray) -> "Motion":
         """The same robot elsewhere: offset (3,) [m]."""
         parts = {name: (positions + offset, *rest) for name, (positions, *rest) in self.parts.items()}
         carried = None if self.carried is None else self.carried + np.pad(offset, (0, 4))
         return replace(self, positions=self.positions + offset, parts=parts, carried=carried)
 
-    def stretched(self, count: int) -> "Cast":
+    def stretched(self, count: int) -> "Motion":
         """Its first ``count`` frames; the last one again where there are fewer."""
         parts = {name: tuple(held(array, count) for array in part) for name, part in self.parts.items()}
         carried = None if self.carried is None else held(self.carried, count)
-        return Cast(held(self.positions, count), held(self.quaternions, count), held(self.weights, count), parts, carried)
+        return Motion(held(self.positions, count), held(self.quaternions, count), held(self.weights, count), parts, carried)
 
 
 def held(values: np.ndarray, count: int) -> np.ndarray:
@@ -121,22 +121,22 @@ def held(values: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)]) if len(rows) < count else rows
 
 
-def _joined(frames: list[Cast]) -> Cast:
-    """Casts of single frames, one after another."""
+def _joined(frames: list[Motion]) -> Motion:
+    """Motions of single frames, one after another."""
     stack = lambda arrays: np.concatenate(list(arrays))  # noqa: E731
     parts = {name: tuple(stack(frame.parts[name][k] for frame in frames) for k in range(3)) for name in frames[0].parts}
     carried = None if frames[0].carried is None else stack(frame.carried for frame in frames)
-    return Cast(stack(frame.positions for frame in frames), stack(frame.quaternions for frame in frames),
+    return Motion(stack(frame.positions for frame in frames), stack(frame.quaternions for frame in frames),
                 stack(frame.weights for frame in frames), parts, carried)
 
 
-class Casting(ABC):
-    """Turns robots and films into casts.
+class Visual(ABC):
+    """Turns robots and films into motions.
 
     Attributes:
         meshes: each once.
         instances: (n_instances, 2) index of the mesh, and column of the weights with which it shows.
-        primitives: by the names that they have in a cast.
+        primitives: by the names that they have in a motion.
         carried: look of the object that is moved about; None where the model's bodies are all that there is.
         scenery: what never moves, world frame.
         framing: from where one looks.
@@ -150,24 +150,24 @@ class Casting(ABC):
     framing: Framing
 
     @abstractmethod
-    def standing(self, alphas: Sequence[np.ndarray]) -> Cast:
+    def standing(self, alphas: Sequence[np.ndarray]) -> Motion:
         """Robots F(alpha) at the start, one per frame."""
 
     @abstractmethod
-    def playing(self, film: Film, alpha: np.ndarray) -> Cast:
+    def playing(self, film: Film, alpha: np.ndarray) -> Motion:
         """A film on F(alpha)."""
 
     @abstractmethod
-    def native(self, film: Film, robot: str) -> Cast:
+    def native(self, film: Film, robot: str) -> Motion:
         """A film on the unmodified robot of that name."""
 
 
-def casting_of(merged: Merged) -> Casting:
+def visual_of(merged: Merged) -> Visual:
     """Whatever a merged robot is, how it is drawn."""
-    return ModelCasting(merged) if isinstance(merged, MergedModel) else ArmCasting(merged)
+    return ModelVisual(merged) if isinstance(merged, MergedModel) else ArmVisual(merged)
 
 
-class ArmCasting(Casting):
+class ArmVisual(Visual):
     """Arms with grippers at their table.
 
     Args:
@@ -177,7 +177,7 @@ class ArmCasting(Casting):
     framing = AT_THE_TABLE
 
     def __init__(self, merged: MergedRobot) -> None:
-        self.merged, self.wardrobe = merged, Wardrobe(merged.space.matching)
+        self.merged, self.appearance = merged, Appearance(merged.space.matching)
         template = merged.template
         self.links = [template.body(slot.name).id for slot in merged.space.matching.slots]
         self._object = template.body("object").id
@@ -185,15 +185,15 @@ class ArmCasting(Casting):
         shapes = [template.geom(shape.name).id for shape in merged.space.shape_slots]
         boxes = [geom for geom in shapes if template.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX]
         self._geoms = {"bones": bones, "pads": [geom for geom in shapes if geom not in boxes], "boxes": boxes}
-        self.meshes = self.wardrobe.meshes
-        self.instances = np.array([(item.mesh, item.robot) for item in self.wardrobe.worn])
+        self.meshes = self.appearance.meshes
+        self.instances = np.array([(item.mesh, item.robot) for item in self.appearance.instances])
         self.primitives = {"bones": Primitives("capsules", np.array(BONE), thinness=BONE_SHARE),
                            "pads": Primitives("capsules", np.array(WIRE), wire=True),
                            "boxes": Primitives("boxes", np.array(WIRE), wire=True)}
         self.carried = body_mesh(template, self._object)
         self.scenery = furniture(merged.space.matching.systems[0].model)
 
-    def standing(self, alphas: Sequence[np.ndarray]) -> Cast:
+    def standing(self, alphas: Sequence[np.ndarray]) -> Motion:
         """Robots F(alpha) at the start posture, one per frame."""
         frames = []
         model, data = self.merged.new()
@@ -203,7 +203,7 @@ class ArmCasting(Casting):
             frames.append(self._frame(model, data, weights(alpha, self.merged.space.betas)))
         return _joined(frames)
 
-    def playing(self, film: Film, alpha: np.ndarray) -> Cast:
+    def playing(self, film: Film, alpha: np.ndarray) -> Motion:
         """A film on F(alpha)."""
         data = mujoco.MjData(film.model)
         shares = weights(alpha, self.merged.space.betas)
@@ -214,14 +214,14 @@ class ArmCasting(Casting):
             frames.append(self._frame(film.model, data, shares))
         return _joined(frames)
 
-    def native(self, film: Film, robot: str) -> Cast:
+    def native(self, film: Film, robot: str) -> Motion:
         """A film on the unmodified robosuite robot."""
         data = mujoco.MjData(film.model)
         index = self.merged.space.names.index(robot)
-        own = [k for k, item in enumerate(self.wardrobe.worn) if item.robot == index]
-        bodies = [self.wardrobe.worn[k].body for k in own]
-        steps, worn = len(film.qpos), len(self.wardrobe.worn)
-        positions, quaternions, carried = np.zeros((steps, worn, 3)), np.zeros((steps, worn, 4)), np.empty((steps, 7))
+        own = [k for k, item in enumerate(self.appearance.instances) if item.robot == index]
+        bodies = [self.appearance.instances[k].body for k in own]
+        steps, instances = len(film.qpos), len(self.appearance.instances)
+        positions, quaternions, carried = np.zeros((steps, instances, 3)), np.zeros((steps, instances, 4)), np.empty((steps, 7))
         quaternions[..., 0] = 1.0
         for frame, row in enumerate(film.qpos):
             data.qpos[:] = row
@@ -231,13 +231,13 @@ class ArmCasting(Casting):
         shares = np.zeros((steps, len(self.merged.space.names)))
         shares[:, index] = 1.0
         none = np.empty((steps, 0, 3)), np.empty((steps, 0, 4)), np.empty((steps, 0, 3))
-        return Cast(positions, quaternions, shares, dict.fromkeys(self.primitives, none), carried)
+        return Motion(positions, quaternions, shares, dict.fromkeys(self.primitives, none), carried)
 
-    def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, shares: np.ndarray) -> Cast:
-        positions, quaternions = self.wardrobe.poses(data, self.links)
+    def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, shares: np.ndarray) -> Motion:
+        positions, quaternions = self.appearance.poses(data, self.links)
         parts = {name: _of_geoms(model, data, geoms) for name, geoms in self._geoms.items()}
         carried = np.array([*data.xpos[self._object], *data.xquat[self._object]])
-        return Cast(positions[None], quaternions[None], shares[None], parts, carried[None])
+        return Motion(positions[None], quaternions[None], shares[None], parts, carried[None])
 
 
 def _of_geoms(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> Part:
@@ -256,7 +256,7 @@ def _of_sites(model: mujoco.MjModel, data: mujoco.MjData, sites: Sequence[int]) 
     return np.array(data.site_xpos[sites])[None], turned[None], np.array(model.site_size[sites])[None]
 
 
-class ModelCasting(Casting):
+class ModelVisual(Visual):
     """Robots of a family in their task's scene.
 
     Args:
@@ -350,7 +350,7 @@ class ModelCasting(Casting):
         self.merged.become(alpha, model, data)
         self.merged.task.scene(model, data).begin(np.random.default_rng(0))
 
-    def standing(self, alphas: Sequence[np.ndarray]) -> Cast:
+    def standing(self, alphas: Sequence[np.ndarray]) -> Motion:
         """Robots F(alpha) where the episode of seed 0 begins, one per frame."""
         frames, (model, data) = [], self.merged.new()
         for alpha in alphas:
@@ -358,7 +358,7 @@ class ModelCasting(Casting):
             frames.append(self._frame(model, data, self._shares(alpha)))
         return _joined(frames)
 
-    def playing(self, film: Film, alpha: np.ndarray) -> Cast:
+    def playing(self, film: Film, alpha: np.ndarray) -> Motion:
         """A film on F(alpha)."""
         model, data = film.model, mujoco.MjData(film.model)
         model.body_pos[:], model.site_pos[:] = film.body_pos, film.site_pos  # a later episode may have moved them
@@ -369,15 +369,15 @@ class ModelCasting(Casting):
             frames.append(self._frame(model, data, shares))
         return _joined(frames)
 
-    def native(self, film: Film, robot: str) -> Cast:
+    def native(self, film: Film, robot: str) -> Motion:
         """A film on the unmodified robot, whose model has the same elements."""
         return self.playing(film, self.merged.space.beta(robot))
 
-    def pose(self, cast: Cast, frame: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Write a frame of a cast into a model of these robots, to be drawn: sizes, and what mj_kinematics computes of geoms and sites."""
-        data.geom_xpos[self._meshed], data.geom_xmat[self._meshed] = cast.positions[frame], _matrices(cast.quaternions[frame])
+    def pose(self, motion: Motion, frame: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Write a motion's frame into a model of these robots, to be drawn: sizes, and what mj_kinematics computes of geoms and sites."""
+        data.geom_xpos[self._meshed], data.geom_xmat[self._meshed] = motion.positions[frame], _matrices(motion.quaternions[frame])
         for kind, (geoms, sites) in self._parts.items():
-            places, turns, sizes = (array[frame] for array in cast.parts[kind])
+            places, turns, sizes = (array[frame] for array in motion.parts[kind])
             count = len(geoms)
             data.geom_xpos[geoms], data.geom_xmat[geoms], model.geom_size[geoms] = places[:count], _matrices(turns[:count]), sizes[:count]
             data.site_xpos[sites], data.site_xmat[sites], model.site_size[sites] = places[count:], _matrices(turns[count:]), sizes[count:]
@@ -387,14 +387,14 @@ class ModelCasting(Casting):
         source = weights(alpha, self.merged.space.betas)[0]
         return np.array([source, 1.0 - source, max(source, 1.0 - source)])
 
-    def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, shares: np.ndarray) -> Cast:
+    def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, shares: np.ndarray) -> Motion:
         positions, quaternions, _ = _of_geoms(model, data, self._meshed)
         parts = {}
         for kind, (geoms, sites) in self._parts.items():
             pair = _of_geoms(model, data, geoms), _of_sites(model, data, sites)
             places, turns, sizes = (np.concatenate(both, axis=1) for both in zip(*pair, strict=True))
             parts[kind] = places, turns, np.where(self._balls[kind][:, None], sizes[..., :1], sizes)
-        return Cast(positions, quaternions, shares[None], parts)
+        return Motion(positions, quaternions, shares[None], parts)
 
 
 def _touched(model: mujoco.MjModel, touching: np.ndarray, body: int) -> int:
