@@ -19,7 +19,7 @@ from toolkit.errors import ToolkitError
 from toolkit.inspection.recording.stream import Stream, finish
 from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.runs.run import Run
-from toolkit.transfer.pipeline import _Told
+from toolkit.transfer.pipeline import _Guarded
 
 POINTS = '{"source": {"name": "s", "alpha": [0, 0]}, "targets": [{"name": "a", "alpha": [1, 0]}, {"name": "b", "alpha": [0, 1]}]}'
 
@@ -40,7 +40,7 @@ def small(tmp_path):
 
 
 class Broken:
-    """A story that fails where it is told to."""
+    """A recorder that fails where it is told to."""
 
     def __init__(self, where, error):
         self.where, self.error, self.calls = where, error, []
@@ -67,33 +67,33 @@ ERRORS = [RuntimeError("File-writer thread shut down"), OSError(28, "No space le
 @pytest.mark.parametrize("error", ERRORS, ids=repr)
 @pytest.mark.parametrize("where", ["begin", "tell", "summary", "finish", "aside", "nowhere"])
 def test_a_recording_that_fails_is_told_once_and_ends_nothing(tmp_path, where, error):
-    story = Broken(where, error)
+    recorder = Broken(where, error)
 
     def begin():
-        story._at("begin")
-        return story
+        recorder._at("begin")
+        return recorder
 
     def fail():
         raise error
 
-    told = _Told(tmp_path, begin)
+    told = _Guarded(tmp_path, begin)
     for _ in range(2):
         told.tell({"event": "check"})
     told.aside(fail if where == "aside" else lambda: None)
     told.summary("words")
     said = told.finish()
     assert ("not fully recorded" in said) == (where != "nowhere") and said == ("cost: none" if where == "nowhere" else said)
-    after = story.calls[story.calls.index(where) + 1 :] if where in story.calls else []
+    after = recorder.calls[recorder.calls.index(where) + 1 :] if where in recorder.calls else []
     assert after == [], "what has failed is not asked again"
     if where == "aside":
-        assert "finish" in story.calls, "what is kept beside the recording does not end it"
+        assert "finish" in recorder.calls, "what is kept beside the recording does not end it"
 
 
 def test_what_stops_a_run_is_not_hidden_by_the_recording(tmp_path, monkeypatch):
     """A full disk stops the run by its own sentence; the recording's closing once hid it behind a traceback."""
     job = pipeline.Pipeline.__new__(pipeline.Pipeline)
-    story, watched = Broken("finish", RuntimeError("File-writer thread shut down")), []
-    job.story = _Told(tmp_path, lambda: story)
+    recorder, watched = Broken("finish", RuntimeError("File-writer thread shut down")), []
+    job.recording = _Guarded(tmp_path, lambda: recorder)
     job._at_once, job.cluster = 1, None
     job.watch, job.engine = watched.append, type("Engine", (), {"trouble": "", "close": lambda self: None})()
 

@@ -20,7 +20,7 @@ from toolkit.expert import shelf
 from toolkit.expert.training import new_learner
 from toolkit.inspection.film import PickFilm, shoot
 from toolkit.inspection.furniture import opacity
-from toolkit.inspection.recording import shows, viewer
+from toolkit.inspection.recording import recordings, viewer
 from toolkit.inspection.recording.scene import Scene
 from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report import stills
@@ -199,7 +199,7 @@ def test_the_curves_of_a_rebuilt_run_are_of_the_episodes_played_again(run):
     from toolkit.cli.inspection import known_run
 
     folder, known = run[0], known_run(run[0])
-    cost = shows.rebuild(known)
+    cost = recordings.rebuild(known)
     takes = [(phase, take) for phase in load_phases(folder).values() for take in phase.takes]
     assert cost.drawn == cost.known == len(takes) > 1
     rows = [row["Scalars:scalars"] for row in entities(folder / "recording.rrd")["/signals/action"] if "Scalars:scalars" in row]

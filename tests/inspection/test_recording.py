@@ -16,14 +16,14 @@ from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
 from toolkit.inspection.drawn_tree import Plan, matrix
-from toolkit.inspection.recording import excerpt, learning, rollouts, shows, viewer
+from toolkit.inspection.recording import excerpt, learning, recordings, rollouts, viewer
+from toolkit.inspection.recording.recorder import SHARE, RunRecorder
 from toolkit.inspection.recording.scene import Scene
-from toolkit.inspection.recording.story import SHARE, Story
 from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report.figures import tree_figure
 from toolkit.inspection.visual import AT_THE_TABLE, visual_of
 from toolkit.learning.policy import MeanActor
-from toolkit.runs.phases import Phase, Take, Witness, landmarks, load_phases
+from toolkit.runs.phases import Phase, PhaseRecorder, Take, landmarks, load_phases
 from toolkit.runs.run import Run
 from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.rollout import play
@@ -56,7 +56,7 @@ def run(small, policy, tmp_path_factory):
     start, end = small.space.betas
     half = start + 0.5 * (end - start)
     cost = {"train_iterations": 0, "sim_epochs": 0, "check_episodes": 2, "diverged": 0}
-    witness = Witness(folder, TASKS["061_foam_brick"].miss)
+    recorder = PhaseRecorder(folder, TASKS["061_foam_brick"].miss)
     mean = MeanActor(policy)
     plants = {"evolve": lambda alpha: merged_plant(small.merged, alpha, *small.merged.new()),
               "settle": lambda alpha: native_plant(ROBOTS["jaco"], small.task)}
@@ -64,12 +64,12 @@ def run(small, policy, tmp_path_factory):
         [("moved", "evolve", start, half, (11, 12)), ("moved", "evolve", half, end, (11,)), ("arrived", "settle", end, end, (11,))]
     ):
         played = [play(plants[stage](after), mean, seed, after) for seed in seeds]
-        witness.saw("path 1", stage, ["jaco"], before, [policy] * len(played), played, False, 0)
+        recorder.record("path 1", stage, ["jaco"], before, [policy] * len(played), played, False, 0)
         success = float(np.mean([episode.success for episode in played]))
         record = {"path": "path 1", "stage": stage, **cost, "seconds": 10.0 * second}
         made.append_metrics({"event": "check", "success": success, "checked": len(played), **record})
         made.append_metrics({"event": event, "target": "jaco", "distance": 0.0, **record})
-        witness.ends("path 1", stage, ["jaco"], before, after)
+        recorder.end("path 1", stage, ["jaco"], before, after)
     policy.save(folder / "jaco.policy.safetensors")
     return folder
 
@@ -79,13 +79,13 @@ def known(run, small, policy):
     from robots import ROBOTS
 
     native = lambda name: native_plant(ROBOTS[name], small.task)  # noqa: E731
-    return shows.Known(run, small.merged, policy, native, {"jaco": policy})
+    return recordings.Known(run, small.merged, policy, native, {"jaco": policy})
 
 
 @pytest.fixture(scope="module")
 def rebuilt(known):
     """(file, cost) of the run's recording."""
-    cost = shows.rebuild(known)
+    cost = recordings.rebuild(known)
     return known.folder / "recording.rrd", cost
 
 
@@ -222,9 +222,9 @@ def test_contacts_and_signals_of_a_film(rows):
 
 def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
     """With no time at all, curves and ways are told, and of every path the landmarks at the end; a rebuild plays the rest."""
-    story = Story(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, 1e-9,
+    recorder = RunRecorder(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, 1e-9,
                   Run.open(known.folder).read_metrics())
-    cost = story.finish()
+    cost = recorder.finish()
     kept = landmarks([(phase, take) for phase in load_phases(known.folder).values() for take in phase.takes])
     assert 2 <= cost.drawn == len(kept) <= cost.known == 4 and 0 < SHARE <= 0.03
     assert cost.drawn == 4 or f"meta-evolve view {known.folder} --rebuild" in str(cost)
@@ -324,7 +324,7 @@ def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, known, pa
     assert at == (max(row["iteration"] for row in rows["/learning/sim_epochs"] if "iteration" in row) if page == "learning" else
                   pytest.approx(max(seconds(row) for own in rows.values() for row in own if "film" in row), abs=1e-6))
     at = at if page == "learning" else 0.5 * at
-    excerpt.excerpt(file, page, at, shows.page_layout(known.folder, file, page, True), out)
+    excerpt.excerpt(file, page, at, recordings.page_layout(known.folder, file, page, True), out)
     assert not capfd.readouterr().err, "nothing to warn of, as entities that hold nothing yet"
     told = entities(out)
     assert all(path.startswith((*excerpt.ROOTS[page], "/__properties", "/scene/baked")) for path in told)
@@ -362,7 +362,7 @@ def _compare_baked(told, rows, at):
 
 
 def test_an_excerpt_of_nothing_gets_one_sentence(tmp_path, rebuilt, known):
-    layout = shows.page_layout(known.folder, rebuilt[0], "rollouts", True)
+    layout = recordings.page_layout(known.folder, rebuilt[0], "rollouts", True)
     with pytest.raises(ToolkitError, match="shows nothing of the page rollouts at -100"):
         excerpt.excerpt(rebuilt[0], "rollouts", -100.0, layout, tmp_path / "a.rrd")
 
@@ -373,7 +373,7 @@ def test_a_run_without_phases_shows_its_last_policies(tmp_path, known):
     old.mkdir()
     for name in ("config.json", "tree.json", "metrics.jsonl"):
         (old / name).write_bytes((known.folder / name).read_bytes())
-    cost = shows.rebuild(shows.Known(old, known.merged, known.policy, known.native, known.trained))
+    cost = recordings.rebuild(recordings.Known(old, known.merged, known.policy, known.native, known.trained))
     assert cost.drawn == 2
     assert any("at 100% of adroit to jaco" in row["TextDocument:text"][0] for row in entities(old / "recording.rrd")["/signals/caption"])
 
@@ -391,9 +391,9 @@ def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
     played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
                    MeanActor(known.policy), 11, known.merged.space.betas[1])]
     policies = [known.policy] * len(played)
-    witness = Witness(stuck, TASKS["061_foam_brick"].miss, {"path 1": 1})
-    witness.saw("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
-    cost = shows.rebuild(shows.Known(stuck, known.merged, known.policy, known.native, {}))
+    recorder = PhaseRecorder(stuck, TASKS["061_foam_brick"].miss, {"path 1": 1})
+    recorder.record("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
+    cost = recordings.rebuild(recordings.Known(stuck, known.merged, known.policy, known.native, {}))
     assert cost.drawn == cost.known == 3, "two episodes of the phase that ended, one of the phase that did not"
     texts = [row["TextDocument:text"][0] for row in entities(stuck / "recording.rrd")["/signals/caption"]]
     assert any("phase 1 (evolve)" in text and "seed 11" in text for text in texts)
@@ -404,7 +404,7 @@ def test_a_run_without_any_path_done_is_shown(tmp_path, known):
     young.mkdir()
     for name in ("config.json", "tree.json"):
         (young / name).write_bytes((known.folder / name).read_bytes())
-    cost = shows.rebuild(shows.Known(young, known.merged, known.policy, known.native, {}))
+    cost = recordings.rebuild(recordings.Known(young, known.merged, known.policy, known.native, {}))
     assert cost.known == 0
     told = entities(young / "recording.rrd")
     assert "0 records; targets reached: none yet" in told["/summary"][-1]["TextDocument:text"][0]
@@ -417,17 +417,17 @@ def test_a_run_of_another_space_is_refused_in_one_sentence(tmp_path, known):
     tree["nodes"] = [node | {"alpha": node["alpha"][:-1]} for node in tree["nodes"]]
     (other / "tree.json").write_text(json.dumps(tree))
     with pytest.raises(ToolkitError, match="another version"):
-        shows.rebuild(shows.Known(other, known.merged, known.policy, known.native, {}))
+        recordings.rebuild(recordings.Known(other, known.merged, known.policy, known.native, {}))
     (other / "tree.json").write_text("{")
     with pytest.raises(ToolkitError, match="tree.json is damaged"):
-        shows.rebuild(shows.Known(other, known.merged, known.policy, known.native, {}))
+        recordings.rebuild(recordings.Known(other, known.merged, known.policy, known.native, {}))
     (other / "tree.json").unlink()
     with pytest.raises(ToolkitError, match="has no tree.json yet"):
-        shows.rebuild(shows.Known(other, known.merged, known.policy, known.native, {}))
+        recordings.rebuild(recordings.Known(other, known.merged, known.policy, known.native, {}))
 
 
 def test_a_morph_follows_the_tree(tmp_path, small):
-    shows.morph(small.merged, "adroit", ["jaco"], tmp_path / "m.rrd", small.tree("l1", "steiner").to_json(), frames=6)
+    recordings.morph(small.merged, "adroit", ["jaco"], tmp_path / "m.rrd", small.tree("l1", "steiner").to_json(), frames=6)
     told = entities(tmp_path / "m.rrd")
     frames = [row for row in told["/scene/robot/bones"] if "film" in row]
     assert len(frames) == 6 and "/signals/action" not in told
@@ -438,7 +438,7 @@ def test_a_morph_follows_the_tree(tmp_path, small):
 
 
 def test_two_runs_stand_side_by_side(tmp_path, known):
-    films, layout = shows.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
+    films, layout = recordings.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
     np.testing.assert_array_equal(films[0].qpos, films[1].qpos)
     assert films[0].qpos.shape[1] == known.native("jaco").model.nq, "the unmodified robot, of which success is claimed"
     told = entities(tmp_path / "c.rrd")
@@ -450,7 +450,7 @@ def test_two_runs_stand_side_by_side(tmp_path, known):
     excerpt.excerpt(tmp_path / "c.rrd", "compare", 1.0, layout(True), tmp_path / "e.rrd")
     assert {"/side-1/caption", "/side-2/caption", "/scene/goal"} <= set(entities(tmp_path / "e.rrd"))
     with pytest.raises(ToolkitError, match="has no policy for 'iiwa' yet"):
-        shows.compare([("one", known, "jaco"), ("two", known, "iiwa")], tmp_path / "d.rrd", seed=11)
+        recordings.compare([("one", known, "jaco"), ("two", known, "iiwa")], tmp_path / "d.rrd", seed=11)
 
 
 def test_the_tree_is_laid_out_to_scale():

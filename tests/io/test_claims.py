@@ -152,11 +152,11 @@ def test_resuming_twice_is_refused_at_once(tmp_path, capsys, command):
 
 def test_the_recording_of_a_running_transfer_is_not_made_anew(tmp_path, monkeypatch, capsys):
     from toolkit.cli import inspection
-    from toolkit.inspection.recording import shows
+    from toolkit.inspection.recording import recordings
 
     (tmp_path / "r").mkdir()
     monkeypatch.setattr(inspection, "known_run", lambda path: None)
-    monkeypatch.setattr(shows, "rebuild", lambda known, file: f"made {file}")
+    monkeypatch.setattr(recordings, "rebuild", lambda known, file: f"made {file}")
     holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
     try:
         with pytest.raises(ToolkitError, match="--live, or give --out"):

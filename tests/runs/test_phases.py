@@ -10,7 +10,7 @@ from toolkit.inspection.film import contacts_of, shoot
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
 from toolkit.learning.policy import MeanActor
-from toolkit.runs.phases import FOLDER, ROLES, Phase, Witness, load_phase, load_phases, score
+from toolkit.runs.phases import FOLDER, ROLES, Phase, PhaseRecorder, load_phase, load_phases, score
 from toolkit.simulation.laws import merged_plant
 from toolkit.simulation.rollout import play
 
@@ -35,14 +35,14 @@ def mark(played):
     return score(played, MISS)
 
 
-def saw(witness, policy, episodes, update=0, noise=False):
-    witness.saw("path 1", "evolve", ["a"], np.zeros(D), [policy] * len(episodes), episodes, noise, update)
+def record(recorder, policy, episodes, update=0, noise=False):
+    recorder.record("path 1", "evolve", ["a"], np.zeros(D), [policy] * len(episodes), episodes, noise, update)
 
 
 def test_the_episodes_worth_seeing_are_picked(tmp_path, policy):
-    witness = Witness(tmp_path, MISS)
-    saw(witness, policy, [episode(0, True, 9), episode(1, False, distance=0.3), episode(2, True, 4), episode(3, False, distance=0.6)])
-    saw(witness, policy, [episode(4, True, 6)])
+    recorder = PhaseRecorder(tmp_path, MISS)
+    record(recorder, policy, [episode(0, True, 9), episode(1, False, distance=0.3), episode(2, True, 4), episode(3, False, distance=0.6)])
+    record(recorder, policy, [episode(4, True, 6)])
     (phase,) = load_phases(tmp_path).values()
     seeds = {role: phase.take(role).seed for role in ROLES}
     assert seeds == {"first": 0, "last": 4, "best": 2, "worst": 3, "failure": 1}
@@ -56,9 +56,9 @@ def test_a_diverged_episode_is_the_worst(tmp_path):
 
 
 def test_policies_that_no_kept_episode_was_played_by_go(tmp_path, policy):
-    witness, learning = Witness(tmp_path, MISS), policy.copy()
+    recorder, learning = PhaseRecorder(tmp_path, MISS), policy.copy()
     for update in range(6):
-        saw(witness, learning, [episode(update, True, 9 - update)], update, noise=True)
+        record(recorder, learning, [episode(update, True, 9 - update)], update, noise=True)
         learning.set_parameters(learning.parameters + 1e-3)
     (phase,) = load_phases(tmp_path).values()
     assert {take.update for take in phase.takes} == {0, 5} and len(phase.policies) == 2
@@ -69,13 +69,13 @@ def test_policies_that_no_kept_episode_was_played_by_go(tmp_path, policy):
 def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
     """A killed run plays its last batch again when it is resumed."""
     batches = [[episode(0, True, 9), episode(1)], [episode(2, True, 4), episode(3, False, distance=0.5)]]
-    straight, resumed = Witness(tmp_path / "a", MISS), Witness(tmp_path / "b", MISS)
-    for run, witness in ((tmp_path / "a", straight), (tmp_path / "b", resumed)):
+    straight, resumed = PhaseRecorder(tmp_path / "a", MISS), PhaseRecorder(tmp_path / "b", MISS)
+    for run, recorder in ((tmp_path / "a", straight), (tmp_path / "b", resumed)):
         run.mkdir()
         for update, batch in enumerate(batches):
-            saw(witness, policy, batch, update)
-    again = Witness(tmp_path / "b", MISS)
-    saw(again, policy, batches[1], 1)
+            record(recorder, policy, batch, update)
+    again = PhaseRecorder(tmp_path / "b", MISS)
+    record(again, policy, batches[1], 1)
     phases = [load_phases(tmp_path / run)["path-1-000-evolve"] for run in "ab"]
     assert len({tuple(phase.take(role).seed for role in ROLES) for phase in phases}) == 1
 
@@ -85,8 +85,8 @@ def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, pol
     offset = np.full(38, 0.01)
     directions = Directions(Explored(np.ones(38), np.zeros(1)), np.zeros((0, policy.hidden[-1] + 1)))
     pair = [directions.moved(policy, offset), directions.moved(policy, -offset)]
-    for witness in (Witness(tmp_path, MISS), Witness(tmp_path, MISS)):
-        witness.saw("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
+    for recorder in (PhaseRecorder(tmp_path, MISS), PhaseRecorder(tmp_path, MISS)):
+        recorder.record("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
     (phase,) = load_phases(tmp_path).values()
     assert len(phase.takes) == len(phase.policies) == 2
     for take, played in zip((phase.take("best"), phase.take("failure")), pair, strict=True):
@@ -95,11 +95,11 @@ def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, pol
 
 
 def test_phases_count_on_where_each_path_was(tmp_path, policy):
-    witness = Witness(tmp_path, MISS, {"path 1": 2})
-    saw(witness, policy, [episode(0)])
-    ended = witness.ends("path 1", "evolve", ["a"], np.zeros(D), np.ones(D))
+    recorder = PhaseRecorder(tmp_path, MISS, {"path 1": 2})
+    record(recorder, policy, [episode(0)])
+    ended = recorder.end("path 1", "evolve", ["a"], np.zeros(D), np.ones(D))
     assert ended.name == "path-1-002-evolve" and load_phases(tmp_path)["path-1-002-evolve"].end.tolist() == [1.0] * D
-    assert witness.phase("path 1", "settle", ["a"], np.ones(D)).name == "path-1-003-settle"
+    assert recorder.phase("path 1", "settle", ["a"], np.ones(D)).name == "path-1-003-settle"
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[:40], lambda data: b"", lambda data: b"\0" * 100 + data])

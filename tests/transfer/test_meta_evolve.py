@@ -134,14 +134,14 @@ def config(**changes):
     return TransferConfig(**{"npg": NPG, "check_episodes": 12, "goal_episodes": 12, "xi": 0.08, "native": False} | changes)
 
 
-def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, witness=None, bends=None,
+def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, on_batch=None, bends=None,
                 explored=EXPLORED):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
     quiet = lambda *seen: None  # noqa: E731
     learner = expert() if settings.learner == "npg" else seeing_expert()
-    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, witness or quiet, explored,
+    transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, on_batch or quiet, explored,
                         bends)
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
@@ -946,11 +946,11 @@ def searched(tmp_path_factory):
     """(transfer, engine, native robots, policies that played each training batch) of a whole run of the search."""
     toy, others, played = Toy(), natives(), []
 
-    def witness(branch, episodes, noise, policies):
+    def on_batch(branch, episodes, noise, policies):
         if max(episode.seed for episode in episodes) < TRAINING_SEEDS:
             played.append((branch.policy.copy(), policies, episodes, noise))
 
-    transfer = transfer_of(tmp_path_factory.mktemp("search") / "run", SEARCH, toy, native=others, witness=witness)
+    transfer = transfer_of(tmp_path_factory.mktemp("search") / "run", SEARCH, toy, native=others, on_batch=on_batch)
     transfer.meta_evolve()
     return transfer, toy, others, played
 

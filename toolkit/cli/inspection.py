@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import subprocess
 
     from toolkit.inspection.recording.layout import Layout
-    from toolkit.inspection.recording.shows import Known
+    from toolkit.inspection.recording.recordings import Known
     from toolkit.simulation.laws import Drivable
 
 STILLS, VIDEOS = (".png",), (".mp4", ".gif")
@@ -62,7 +62,7 @@ def view(
     if live:
         _follow(path[0])
         return
-    from toolkit.inspection.recording import shows, stream, viewer
+    from toolkit.inspection.recording import recordings, stream, viewer
 
     room_for(still, STILLS)
     if video is not None:
@@ -76,9 +76,9 @@ def view(
         file, layout = _compare(path, compare, seed, whole)
     else:
         file = viewer.recording_of(_recording(path[0], rebuild, whole))
-        layout = lambda excerpt: shows.page_layout(_folder(path[0]), file, page, excerpt)  # noqa: E731
+        layout = lambda excerpt: recordings.page_layout(_folder(path[0]), file, page, excerpt)  # noqa: E731
     if frozen:
-        _freeze(file, "compare" if compare else page, at, layout, still, size, out)
+        _freeze(file, "compare" if compare or page is None else page, at, layout, still, size, out)
     elif still is not None:
         viewer.still([file], still, _last(file, at), size)
     elif out is None:
@@ -122,7 +122,7 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
         return record_deployment(path)
     if not rebuild:
         return path
-    from toolkit.inspection.recording import shows
+    from toolkit.inspection.recording import recordings
     from toolkit.io import claims
 
     file = out or path / "recording.rrd"
@@ -130,7 +130,7 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
     if out is None:  # a running transfer writes that very file
         claims.claim(path, "look at it with --live, or give --out FILE")
     try:
-        print(shows.rebuild(known, file))
+        print(recordings.rebuild(known, file))
     finally:
         claims.give_up(path)
     return file
@@ -138,11 +138,11 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
 
 def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: Path | None) -> "tuple[Path, Layout]":
     """A recording of policies side by side, and its layout."""
-    from toolkit.inspection.recording import shows
+    from toolkit.inspection.recording import recordings
 
     sides = _sides(paths, targets)
     file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
-    films, layout = shows.compare(sides, file, seed)
+    films, layout = recordings.compare(sides, file, seed)
     labels = [label for label, _, _ in sides]
     print("; ".join(f"{label}: {film.verdict()}" for label, film in zip(labels, films, strict=True)))
     return file, layout
@@ -197,7 +197,7 @@ def _begun(folder: Path) -> "Known":
     """A run as soon as its transfer has its tree."""
     import time
 
-    from toolkit.inspection.recording.shows import POLL
+    from toolkit.inspection.recording.recordings import POLL
 
     waits = lambda: not (folder / "tree.json").exists() and not (folder / "report.json").exists()  # noqa: E731
     if waits():
@@ -209,7 +209,7 @@ def _begun(folder: Path) -> "Known":
 
 
 def _follow_running(known: "Known") -> None:
-    from toolkit.inspection.recording import shows, viewer
+    from toolkit.inspection.recording import recordings, viewer
 
     if viewer.has_display():
         process, proxy = viewer.follow_window()
@@ -218,7 +218,7 @@ def _follow_running(known: "Known") -> None:
         process, address, proxy = _serve()
         print(f"no display here; open {address} in a browser. Ctrl-C ends it.", flush=True)
     try:
-        shows.follow(known, proxy, until=lambda: process.poll() is not None)
+        recordings.follow(known, proxy, until=lambda: process.poll() is not None)
         _wait(process, "the run has ended; Ctrl-C ends the viewer")
     finally:
         process.terminate()
@@ -255,7 +255,7 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
 def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
     """A run folder with everything needed to play it again."""
     from toolkit.expert.shelf import POLICY_FILE, load_expert
-    from toolkit.inspection.recording.shows import Known
+    from toolkit.inspection.recording.recordings import Known
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.simulation.laws import native_plant
 
@@ -271,7 +271,10 @@ def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
         if not content.get("randomise"):
             return plant
         from toolkit.evaluation.randomised import RandomisedRobot
+        from toolkit.simulation.plant import Plant
 
+        if not isinstance(plant, Plant):
+            raise ToolkitError(f"{folder} says `randomise` of a task that has no such conditions; take it out of its config.json")
         return RandomisedRobot(plant, content["randomise"])
 
     return Known(folder, lab.merged, policy, native, trained)
@@ -296,9 +299,9 @@ def morph(
     room_for(still, STILLS)
     room_for(lineup, STILLS)
     lab = make_lab(source, targets, task)
-    from toolkit.inspection.recording import shows, viewer
+    from toolkit.inspection.recording import recordings, viewer
 
-    shows.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
+    recordings.morph(lab.merged, source, targets, out, lab.tree("l1", "steiner").to_json())
     if still is not None:
         viewer.still([out], still, _last(out, at), size)
     if lineup is not None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tasks.pick import PickTask
     from tasks.task import ModelTask, PractisedTask
     from toolkit.expert.training import ExpertConfig
-    from toolkit.inspection.recording.story import Story
+    from toolkit.inspection.recording.recorder import RunRecorder
     from toolkit.learning.policy import GaussianPolicy, ValueFunction
     from toolkit.runs.run import Run
 
@@ -189,11 +189,11 @@ def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Seque
     return words
 
 
-def record_run(*run: Any) -> "Story":
+def record_run(*run: Any) -> "RunRecorder":
     """The recording of a run while it goes on, as ``Pipeline`` begins it; an installation without the viewer has none, and says so."""
-    from toolkit.inspection.recording.story import begin_story
+    from toolkit.inspection.recording.recorder import begin_recording
 
-    return begin_story(*run)
+    return begin_recording(*run)
 
 
 def transfer(

@@ -177,7 +177,7 @@ def score(episode: Episode, miss: Callable[[np.ndarray], float]) -> float:
     return -miss(episode.last_observation)
 
 
-class Witness:
+class PhaseRecorder:
     """Picks the episodes worth seeing while a transfer runs; what it has seen is on disk before the checkpoint is.
 
     Seeing the same batch again, as a resumed run does, changes nothing.
@@ -193,7 +193,7 @@ class Witness:
         self.ended = dict(phases or {})
         self._going: dict[str, Phase] = {}
 
-    def saw(
+    def record(
         self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, policies: Sequence[GaussianPolicy],
         episodes: Sequence[Episode], noise: bool, update: int,
     ) -> None:
@@ -219,7 +219,7 @@ class Witness:
             self._going[path] = load_phase(file) if file.exists() else fresh
         return self._going[path]
 
-    def ends(self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, end: np.ndarray) -> Phase:
+    def end(self, path: str, stage: str, targets: Sequence[str], start: np.ndarray, end: np.ndarray) -> Phase:
         """A phase has ended at ``end`` (D,); the next one counts on."""
         phase = self.phase(path, stage, targets, start)
         phase.end = np.array(end)

@@ -47,7 +47,7 @@ class Transfer:
         engine: plays on F(alpha).
         native: target name -> makes the player of the unmodified robot (made when a path gets there).
         run: folder for metrics and checkpoints.
-        report, witness: as for Sampler.
+        report, on_batch: as for Sampler.
         explored: what the learner "search" explores, and how far.
         bends: targets behind an edge -> how it turns; the other edges are straight.
     """
@@ -63,13 +63,13 @@ class Transfer:
         native: Mapping[str, Callable[[], Player]],
         run: Run,
         report: Callable[[Entry, Branch], None] = lambda entry, branch: None,
-        witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
+        on_batch: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
         explored: Explored | None = None,
         bends: Mapping[frozenset[str], Bend] | None = None,
     ) -> None:
         self.config, self.run = config, run
         self.players = Players(engine, native)
-        self.sampler = Sampler(run, report, witness)
+        self.sampler = Sampler(run, report, on_batch)
         self.way = Way(config, self.sampler, targets, bends or {})
         weights = WeightLearner(config, self.sampler, engine, source, policy.copy())
         search = None

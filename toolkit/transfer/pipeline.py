@@ -25,7 +25,7 @@ from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.lab import Lab, Merged, System, check_players, check_roles
-from toolkit.runs.phases import Witness
+from toolkit.runs.phases import PhaseRecorder
 from toolkit.runs.run import Run, read_audit
 from toolkit.simulation.cluster import Cluster, ClusterEngine
 from toolkit.simulation.laws import Drivable, native_plant
@@ -123,12 +123,12 @@ Begin = Callable[[Path, Merged, dict[str, Any], GaussianPolicy, Callable[[str], 
 records that there are of a run that is taken up again."""
 
 
-class _Told:
+class _Guarded:
     """The recording of a run, and what it keeps to be seen: whatever becomes of them, the run goes on, and says so at its end.
 
     Args:
         folder: the run folder.
-        begin: makes the story.
+        begin: makes the recorder.
 
     Attributes:
         trouble: the first thing that went wrong, in a sentence; empty if nothing did.
@@ -136,17 +136,17 @@ class _Told:
 
     def __init__(self, folder: Path, begin: Callable[[], Recorder | None]) -> None:
         self.folder, self.trouble = folder, ""
-        self._story = self._told(begin)
+        self._recorder = self._told(begin)
 
     def tell(self, record: dict[str, Any]) -> None:
-        """See Story."""
-        if self._story is not None:
-            self._told(lambda: self._story.tell(record))
+        """See RunRecorder."""
+        if self._recorder is not None:
+            self._told(lambda: self._recorder.tell(record))
 
     def summary(self, text: str) -> None:
-        """See Story."""
-        if self._story is not None:
-            self._told(lambda: self._story.summary(text))
+        """See RunRecorder."""
+        if self._recorder is not None:
+            self._told(lambda: self._recorder.summary(text))
 
     def aside(self, act: Callable[[], Any]) -> None:
         """Do what only helps to see the run."""
@@ -158,8 +158,8 @@ class _Told:
 
     def finish(self) -> Any:
         """Close the recording; what it cost, or what went wrong with it in a sentence."""
-        story, self._story = self._story, None
-        cost = None if story is None else self._told(story.finish)
+        recorder, self._recorder = self._recorder, None
+        cost = None if recorder is None else self._told(recorder.finish)
         return cost if not self.trouble else f"the run is not fully recorded: {self.trouble}"
 
     def _told(self, act: Callable[[], Any], ends: bool = True) -> Any:
@@ -168,7 +168,7 @@ class _Told:
         except (ToolkitError, OSError, RuntimeError, ValueError, MemoryError) as error:
             self.trouble = self.trouble or " ".join(str(error).split()) or type(error).__name__
             if ends:
-                self._story = None
+                self._recorder = None
             return None
 
 
@@ -228,10 +228,10 @@ class Pipeline:
         self.stalls = read_object(stalls, "start the transfer again under another --run") if stalls.is_file() else {}
         records = self.run.read_metrics()
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
-        self.witness = Witness(folder, job.task.miss, moved)
+        self.phases = PhaseRecorder(folder, job.task.miss, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
         begin = lambda: self._begin(folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, records)  # noqa: E731
-        self.story = _Told(folder, begin if self._begin else lambda: None)
+        self.recording = _Guarded(folder, begin if self._begin else lambda: None)
 
     def _native(self, robot: System, dump: Path) -> Engine:
         """Plays on the unmodified robot of a target: where the last hop is trained and measured.
@@ -260,16 +260,16 @@ class Pipeline:
             if self.job.randomise:
                 report["randomised"] = self._randomised(policies)
             self.run.write_json("report", report)
-            self.story.aside(lambda: self.run.write_summary(summary(report, self.tree)))
-            self.story.summary(summary(report, self.tree))
+            self.recording.aside(lambda: self.run.write_summary(summary(report, self.tree)))
+            self.recording.summary(summary(report, self.tree))
             return report
         finally:
             if self.cluster is not None:
                 self.cluster.close()  # first: the engine waits for answers
             self.engine.close()
-            self.story.note(self.engine.trouble)
-            cost = self.story.finish()
-            self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.story.trouble)})
+            self.recording.note(self.engine.trouble)
+            cost = self.recording.finish()
+            self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.recording.trouble)})
 
     def _audit(self) -> None:
         """What the robots along the tree can do, in short, before any policy is taken through them."""
@@ -309,7 +309,7 @@ class Pipeline:
 
     def _saw(self, branch: Branch, episodes: list[Episode], noise: bool, policies: list[GaussianPolicy]) -> None:
         """Remember the episodes worth seeing."""
-        self.story.aside(lambda: self.witness.saw(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise,
+        self.recording.aside(lambda: self.phases.record(branch.path, branch.stage, branch.targets, branch.alpha, policies, episodes, noise,
                                                   branch.updates))
 
     def _seen(self, entry: Entry, branch: Branch) -> None:
@@ -320,9 +320,9 @@ class Pipeline:
             self._stalled(branch)
         if isinstance(entry.event, Moved | Arrived):
             start = self._stood.get(branch.path, branch.alpha)
-            self.story.aside(lambda: self.witness.ends(branch.path, branch.stage, branch.targets, start, branch.alpha))
+            self.recording.aside(lambda: self.phases.end(branch.path, branch.stage, branch.targets, start, branch.alpha))
         self._stood[branch.path] = branch.alpha
-        self.story.tell(record)
+        self.recording.tell(record)
 
     def _plant(self, name: str) -> Drivable:
         """An unmodified target robot for the recording's films."""

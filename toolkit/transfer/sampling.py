@@ -61,7 +61,7 @@ class Sampler:
     Args:
         run: folder for the metrics.
         report: called with every entry of the metrics, for progress and pictures.
-        witness: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
+        on_batch: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
             explored by noise on its actions, and the policy of each episode.
 
     Attributes:
@@ -72,9 +72,9 @@ class Sampler:
         self,
         run: Run,
         report: Callable[[Entry, Branch], None],
-        witness: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
+        on_batch: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
     ) -> None:
-        self.run, self.report, self.witness = run, report, witness
+        self.run, self.report, self.on_batch = run, report, on_batch
         self._telling = Lock()
         self._started = time.perf_counter()
         self.earlier_seconds = 0.0
@@ -85,13 +85,13 @@ class Sampler:
         self, branch: Branch, player: Player, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int], noise: bool,
         policies: list[GaussianPolicy],
     ) -> list[Episode]:
-        """``player.play``, timed; diverged episodes are counted, and all shown to the witness with what it wants to know."""
+        """``player.play``, timed; diverged episodes are counted, and all passed to ``on_batch`` with what it wants to know."""
         began = time.perf_counter()
         batch = player.play(actor, alphas, seeds)
         branch.ledger.play_s += time.perf_counter() - began
         branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
         with self._telling:
-            self.witness(branch, batch, noise, policies)
+            self.on_batch(branch, batch, noise, policies)
         return batch
 
     def train(

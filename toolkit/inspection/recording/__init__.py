@@ -6,8 +6,8 @@
     scene       robots in 3-D, every mesh once
     evolution, learning, rollouts    one page each
     layout      the pages as tabs
-    story       a run told record by record
-    shows       whole recordings: of a run, of a morph, of two robots side by side
+    recorder    a run as a recording, record by record
+    recordings  whole recordings: of a run, of a morph, of two robots side by side
     excerpt     one page at one moment, as a small recording of its own
 """
 

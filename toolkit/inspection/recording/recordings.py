@@ -18,9 +18,9 @@ from toolkit.inspection.film import Film, shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.inspection.recording.layout import Layout, pages_layout, quiet_layout, robot_view
 from toolkit.inspection.recording.learning import flat_curves
+from toolkit.inspection.recording.recorder import Cost, RunRecorder, run_layout
 from toolkit.inspection.recording.rollouts import RolloutsPage, recorded_pick, rollouts_views
 from toolkit.inspection.recording.scene import Scene, recorded_framing, scene_views
-from toolkit.inspection.recording.story import Cost, Story, story_layout
 from toolkit.inspection.recording.stream import FILM, Stream
 from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.inspection.visual import AT_THE_TABLE, Framing, visual_of
@@ -82,12 +82,12 @@ def rebuild(known: Known, out: Path | None = None) -> Cost:
     tree = known.tree()
     run = Run.open(known.folder)
     records = transfer_records(run)
-    story = Story(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native, records=records)
-    if story.cost.known == 0:
+    recorder = RunRecorder(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native, records=records)
+    if recorder.cost.known == 0:
         for phase in _last_phases(known):
-            story.append(phase)
-    story.summary(_summary(known.folder, records))
-    cost = story.finish()
+            recorder.append(phase)
+    recorder.summary(_summary(known.folder, records))
+    cost = recorder.finish()
     os.replace(temporary, path)
     return cost
 
@@ -96,7 +96,7 @@ def page_layout(folder: Path, recording: Path, page: str | None, excerpt: bool =
     """The layout of one page alone, or of all, to be opened with a run's recording, or with an excerpt of it."""
     chunks = list(chunks_of(recording))
     eyes = recorded_framing(chunks) or (AT_THE_TABLE.whole, AT_THE_TABLE.near)
-    return story_layout(Plan(read_tree(folder)), recorded_extent(chunks), eyes, recorded_pick(chunks), page, excerpt, flat_curves(chunks))
+    return run_layout(Plan(read_tree(folder)), recorded_extent(chunks), eyes, recorded_pick(chunks), page, excerpt, flat_curves(chunks))
 
 
 def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
@@ -107,18 +107,18 @@ def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False)
         viewer: address of a viewer's proxy.
         until: asked between two looks; True ends it.
     """
-    story = Story(Stream(viewer), known.folder, known.merged, known.tree(), known.policy, known.native)
+    recorder = RunRecorder(Stream(viewer), known.folder, known.merged, known.tree(), known.policy, known.native)
     told = 0
     while not until():
         records = transfer_records(Run.open(known.folder))
         for record in records[told:]:
-            story.tell(record)
+            recorder.tell(record)
         told = max(told, len(records))  # a resumed transfer drops records, and writes the very same again
         if (known.folder / "report.json").exists():
-            story.summary(_summary(known.folder, records))
+            recorder.summary(_summary(known.folder, records))
             break
         time.sleep(POLL)
-    story.finish()
+    recorder.finish()
 
 
 def morph(merged: Merged, source: str, targets: Sequence[str], path: Path, tree: dict[str, Any], frames: int = 60) -> None:

@@ -1,6 +1,6 @@
-"""A run told as a recording: its records one by one, with what its phases left in the run folder.
+"""A run as a recording: its records one by one, with what its phases left in the run folder.
 
-The same story is told while the run goes on, when a run folder is rebuilt, and to a viewer that follows a running one.
+The same recorder serves while the run goes on, when a run folder is rebuilt, and for a viewer that follows a running one.
 """
 
 import time
@@ -58,15 +58,15 @@ class Cost:
                 f"{self.wall:.0f} s), {self.drawn} of {self.known} episodes{left}")
 
 
-def begin_story(
+def begin_recording(
     folder: Path, merged: Merged, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Drivable],
     records: Sequence[dict[str, Any]],
-) -> "Story":
-    """The recording of a run that goes on, into its folder; the arguments are those of ``Story``."""
-    return Story(Stream(folder / "recording.rrd"), folder, merged, tree, policy, native, SHARE, records)
+) -> "RunRecorder":
+    """The recording of a run that goes on, into its folder; the arguments are those of ``RunRecorder``."""
+    return RunRecorder(Stream(folder / "recording.rrd"), folder, merged, tree, policy, native, SHARE, records)
 
 
-class Story:
+class RunRecorder:
     """Tells a run.
 
     Args:
@@ -111,7 +111,7 @@ class Story:
         self.scene = Scene(stream, self._visual, self.rollouts.tolerance)
         self.summary("The run goes on; this page fills when it ends.")
         framing = self._visual.framing
-        stream.arrange(story_layout(self.plan, alpha_extent(merged.space), (framing.whole, framing.near), self.rollouts.pick))
+        stream.arrange(run_layout(self.plan, alpha_extent(merged.space), (framing.whole, framing.near), self.rollouts.pick))
         source = next(name for name, node in self.plan.nodes.items() if node["kind"] == "source")
         self._targets = [name for name, node in self.plan.nodes.items() if node["kind"] == "target"]
         start = np.array(self.plan.nodes[source]["alpha"])
@@ -278,7 +278,7 @@ class Story:
                 f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")
 
 
-def story_layout(
+def run_layout(
     plan: Plan, extent: Extent | None, eyes: tuple[Eye, Eye], pick: bool, page: str | None = None, excerpt: bool = False,
     flat: Collection[str] = (),
 ) -> rrb.Blueprint:
