@@ -12,7 +12,7 @@ from toolkit.bundle.reading import load_bundle
 from toolkit.cli import main
 from toolkit.deploy import faults
 from toolkit.deploy.arm import ArmInfo, State
-from toolkit.deploy.faults import HARMS, onsets, trial, trials
+from toolkit.deploy.faults import HARMS, Harm, _seen, onsets, trial, trials
 from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
 from toolkit.export.twin import Twin
 from toolkit.runs.seeds import EVALUATION_SEEDS
@@ -82,6 +82,17 @@ def test_a_delay_is_borne_as_far_as_the_label_says(bundle, arm):
     for said, met in ((bundle, True), (boast, False)):
         found = trial(said, arm, arm.connect(), "osc", harm_named("orders two ticks late"), 0, EVALUATION_SEEDS)
         assert found.outcome.startswith("stopped: table_clearance") and found.met is met
+
+
+def test_who_drops_the_object_is_stopped_and_who_only_sees_it_fall_is_not(bundle, arm, task):
+    """With noise of 5 mm the Jaco's policy lifts the brick and drops it: that the arm is then stopped is no fault of the filter.
+    A camera that sees a brick 7 cm away from the gripper that holds it is."""
+    jaco, twin = load_bundle("jaco"), Direct(Twin(ROBOTS["jaco"], task, "lockstep"))
+    found = trial(jaco, twin, twin.connect(), "osc", harm_named("pose noise of 5 mm"), 0, EVALUATION_SEEDS)
+    assert found.met and found.outcome.startswith("stopped: object_lost"), found
+    shifted = Harm("camera shifted", "state", "play", state=_seen(bias=0.07))
+    found = trial(bundle, arm, arm.connect(), "osc", shifted, onsets(bundle)["lifting"] + 5, EVALUATION_SEEDS)
+    assert not found.met and found.outcome.startswith("stopped: object_lost"), found
 
 
 def test_a_frozen_arm_is_held_where_a_tick_of_motion_ends(bundle, arm):

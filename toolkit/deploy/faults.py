@@ -22,6 +22,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from toolkit.bundle.manifest import Manifest
 from toolkit.bundle.reading import Bundle
 from toolkit.deploy import wire
 from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
@@ -34,7 +35,8 @@ from toolkit.runs.seeds import EVALUATION_SEEDS
 
 Must = Literal["stop", "pass", "play", "refuse"]
 """stop: held, then stopped with a reason.  pass: held, and played on.  play: borne, whether or not the policy
-then succeeds; but a delay beyond manifest.borne_delay_steps may end at a limit of AT_TABLE.  refuse: never moved."""
+then succeeds; but a delay beyond manifest.borne_delay_steps may end at a limit of AT_TABLE, and a policy that has truly dropped the object
+with object_lost.  refuse: never moved."""
 AT_TABLE = ("table_clearance", "tracking")
 """By which an arm is stopped that comes down on the table: on its way, or as it pushes."""
 TICKS, WAY, SHOWING = 3, 0.01, 2
@@ -263,12 +265,14 @@ class Injector:
         seed: of noise.
 
     Attributes:
-        truths: (ticks, 3) [m] where the grasp frame truly was, tick by tick.  held: whether the command of each tick was to hold.
+        truths: (ticks, 3) [m] where the grasp frame truly was, tick by tick.  apart: (ticks,) [m] how far the object truly was from it.
+        held: whether the command of each tick was to hold.
     """
 
     def __init__(self, driver: Driver, harm: Harm | None, onset: int, place: Callable[[State], np.ndarray], seed: int = 0) -> None:
         self.driver, self.harm, self.onset, self._place = driver, harm, onset, place
         self.truths: list[np.ndarray] = []
+        self.apart: list[float] = []
         self.held: list[bool] = []
         self._states: list[State] = []
         self._commands: list[Command] = []
@@ -289,6 +293,7 @@ class Injector:
         mock = self.driver if isinstance(self.driver, MockedDriver) else None
         truth = mock.arm.state() if mock else self.driver.read()
         self.truths.append(self._place(truth))
+        self.apart.append(float(np.linalg.norm(truth.object_position - self.truths[-1])))
         told = self._told(truth)
         if mock is None:
             return told
@@ -360,13 +365,13 @@ def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, 
         driver.begin(seed)
         injector = Injector(driver, harm, onset, place)
         outcome = play(runtime, injector, TickLog(None, {}), "real" if harm.real or isinstance(driver, MockedDriver) else "lockstep")
-        found = _judged(injector, outcome, form, bundle.manifest.borne_delay_steps or 0)
+        found = _judged(injector, outcome, form, bundle.manifest)
         if found.met or not outcome.stopped.startswith("late_ticks"):  # a busy machine's lateness is not the fault's
             break
     return found
 
 
-def _judged(injector: Injector, outcome: Outcome, form: Form, borne: int) -> Trial:
+def _judged(injector: Injector, outcome: Outcome, form: Form, manifest: Manifest) -> Trial:
     harm, onset, held, way = injector.harm, injector.onset, injector.held, np.array(injector.truths)
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     seen = ", ".join(outcome.faults)
@@ -379,9 +384,11 @@ def _judged(injector: Injector, outcome: Outcome, form: Form, borne: int) -> Tri
     soon = first is not None and (
         not harm.prompt or first - onset <= TICKS and to_hold <= WAY + (SHOWING + harm.allowed) * speed
     )
+    beyond = harm.late > (manifest.borne_delay_steps or 0) and outcome.stopped.startswith(AT_TABLE)
+    dropped = first is not None and outcome.stopped.startswith("object_lost") and injector.apart[first + 1] > manifest.watch.held_m
     met = {
         "stop": bool(outcome.stopped) and soon, "pass": not outcome.stopped and soon,
-        "play": not outcome.stopped or (harm.late > borne and outcome.stopped.startswith(AT_TABLE)),
+        "play": not outcome.stopped or beyond or dropped,
         "refuse": not held and bool(outcome.stopped),
     }[harm.must]
     return Trial(harm.name, harm.layer, form, harm.must, seen, None if first is None else first - onset, 1e3 * to_hold, 1e3 * to_rest,
@@ -502,7 +509,7 @@ def _left_alone(port: int, name: str, leaves: bool) -> Trial:
 
 def _told(port: int, name: str, content: bytes) -> Trial:
     """Who talks nonsense is sent away, and the next one served."""
-    with socket.create_connection(("127.0.0.1", port), timeout=ANSWER) as client:
+    with socket.create_connection(("127.0.0.1", port), timeout=10 * ANSWER) as client:  # a busy machine takes its time
         client.sendall(content)
         client.shutdown(socket.SHUT_WR)
         try:
