@@ -72,6 +72,21 @@ def test_the_injector_sees_a_runtime_that_believes_everything(bundle, arm, monke
     assert not found.met and found.ticks is None and found.to_hold_mm > 100
 
 
+def test_in_lockstep_a_busy_machine_changes_nothing(bundle, arm):
+    """Who came by an arm's speed by the machine's clock would find it slow where the machine is, and not foresee where it comes to rest."""
+    class Busy(Direct):
+        reads = 0
+
+        def read(self):
+            self.reads += 1
+            state = super().read()
+            return dataclasses.replace(state, stamp=state.stamp + 0.2 * self.reads)
+
+    found = [trial(bundle, one, one.connect(), "osc", harm_named("orders two ticks late"), 0, EVALUATION_SEEDS)
+             for one in (arm, Busy(arm.twin))]
+    assert found[0] == found[1] and found[0].seen == "table_clearance"
+
+
 def test_a_delay_is_borne_as_far_as_the_label_says(bundle, arm):
     """One tick late the gripper stays off the table; two ticks late it comes down on it under osc, and may be stopped, if the label has not
     said that it would not."""

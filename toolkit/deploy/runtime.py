@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any, Literal, TextIO, TypeVar
 
 import numpy as np
 
@@ -211,7 +211,7 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
     """
     outcome = Outcome()
     first = _read(driver)
-    fault = first if isinstance(first, Fault) else runtime.begin(first, _now(first, pace))
+    fault = first if isinstance(first, Fault) else runtime.begin(*_timed(first, pace, 0.0))
     if fault is not None:
         outcome.stopped, outcome.faults = f"{fault.kind}: {fault.detail}", Counter([fault.kind])
         driver.stop(outcome.stopped)
@@ -225,7 +225,7 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
                 overdue = max(overdue, time.monotonic() - due)
             state = _read(driver)
             read = time.perf_counter() - began
-            tick = runtime.tick(state, _now(state, pace), late, overdue)
+            tick = runtime.tick(*_timed(state, pace, number * runtime.period), late, overdue)
             if pace == "real" and (slept := time.monotonic() - due - runtime.period) > OVERDUE:
                 tick = runtime.overslept(tick, slept)
             sending = time.perf_counter()
@@ -257,8 +257,14 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
     return outcome
 
 
-def _now(state: State | Fault, pace: Pace) -> float:
-    return state.stamp if pace == "lockstep" and isinstance(state, State) else time.monotonic()
+StateOrFault = TypeVar("StateOrFault", State, State | Fault)
+
+
+def _timed(state: StateOrFault, pace: Pace, due: float) -> tuple[StateOrFault, float]:
+    """A state and the time; in lockstep on the episode's own clock, in which a tick takes its period however busy this machine is."""
+    if pace == "real":
+        return state, time.monotonic()
+    return (replace(state, stamp=due) if isinstance(state, State) else state), due
 
 
 def _count(outcome: Outcome, tick: Tick, late: bool) -> None:
