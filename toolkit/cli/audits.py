@@ -51,10 +51,10 @@ def audit(
     with Progress("audit", quiet=json) as progress:
         if run is None:
             lab = make_lab(source, targets, task)
-            merged, ways = merged_arms(lab), ways_of(lab.tree(metric, kind))
+            merged, ways = merged_arms(lab.merged), ways_of(lab.tree(metric, kind))
         else:
             known = known_run(run)
-            merged, ways = known.merged, ways_in(known.tree())
+            merged, ways = merged_arms(known.merged), ways_in(known.tree())
         progress.show("audit", f"{len(ways)} edges, {robots} robots each", 0, len(ways), now=True)
         seen = lambda name, done, total: progress.show("audit", name, done, total, now=True)  # noqa: E731
         edges = run_audit(merged, ways, seen, bend, robots=robots, episodes=episodes, causes=causes)

@@ -133,7 +133,7 @@ def bench_engine(
     policy, _ = load_expert(source, find_task(task))
     lab = make_lab(source, [robot.name for robot in systems if robot.name != source] or list(TARGETS), task)
     with Progress("engine", quiet=json) as progress:
-        found = measure_engine(systems, merged_arms(lab), policy.act, episodes, rounds, scale, progress.show)
+        found = measure_engine(systems, merged_arms(lab.merged), policy.act, episodes, rounds, scale, progress.show)
     if json:
         emit(found, True, "")
     else:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from toolkit.bundle.reading import Bundle
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.morphology.build import MergedRobot
-    from toolkit.morphology.lab import Lab, System
+    from toolkit.morphology.lab import Lab, Merged, System
 
 Kind = Literal["steiner", "geometric-median", "independent"]
 Method = Kind | Literal["asking", "direct"]
@@ -88,13 +88,13 @@ def find_arm(name: str) -> "Robot":
     return robot
 
 
-def merged_arms(lab: "Lab") -> "MergedRobot":
-    """The merged robot of a laboratory of arms with grippers, for what only such robots have."""
+def merged_arms(merged: "Merged") -> "MergedRobot":
+    """The merged robot of arms with grippers, for what only such robots have."""
     from toolkit.morphology.build import MergedRobot
 
-    if not isinstance(lab.merged, MergedRobot):
-        raise ToolkitError(f"task {lab.task.name!r} is played by robots without arms and grippers, which this command is for")
-    return lab.merged
+    if not isinstance(merged, MergedRobot):
+        raise ToolkitError(f"task {merged.task.name!r} is played by robots without arms and grippers, which this command is for")
+    return merged
 
 
 def family_of(task: "ModelTask") -> "list[ModelRobot]":

@@ -137,7 +137,7 @@ def match(
         from toolkit.inspection.merged_tree import plot_merged_tree
         from toolkit.morphology.quantities import QUANTITIES
 
-        merged = merged_arms(lab)
+        merged = merged_arms(lab.merged)
         figures: list[dict[str, Any]] = []
         for name in [robot.name for robot in (lab.source, *lab.targets)]:
             progress.show("match", f"measuring {name}", len(figures), len(targets) + 1)

@@ -88,10 +88,18 @@ class RandomisedRobot:
         """See Drivable."""
         return self._robot.command
 
+    @command.setter
+    def command(self, value: np.ndarray) -> None:
+        self._robot.command = value
+
     @property
     def goal(self) -> np.ndarray:
         """See Drivable."""
         return self._robot.goal
+
+    @goal.setter
+    def goal(self, value: np.ndarray) -> None:
+        self._robot.goal = value
 
     @property
     def at_goal(self) -> bool:

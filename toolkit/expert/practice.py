@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from robots.model_robot import ModelRobot
-from tasks.task import ModelTask, PractisedTask
+from tasks.task import PractisedTask
 from toolkit.errors import ToolkitError
 from toolkit.learning.episode import Episode
 from toolkit.learning.npg import NpgConfig, npg_step
@@ -122,7 +122,7 @@ class _Learning:
         self.steps += sum(episode.steps for episode in played)
         return [self.rewarded(task, episode) for episode in played]
 
-    def rewarded(self, task: ModelTask, episode: Episode) -> Episode:
+    def rewarded(self, task: PractisedTask, episode: Episode) -> Episode:
         """The episode, rewarded by progress."""
         if episode.diverged:
             return episode

@@ -243,9 +243,9 @@ class MergedRobot:
                 quat=p.bone_quat[i], contype=0, conaffinity=0, group=1, rgba=rgba, density=0,
             )
             bodies.append(body)
-        for k, i in enumerate(self._airy):
-            bodies[i].add_body(
-                name=f"{self.space.matching.slots[i].name}/air", pos=p.air_pos[k], quat=p.air_quat[k], mass=AIR_MASS, ipos=[0, 0, 0],
+        for k, airy in enumerate(self._airy):
+            bodies[airy].add_body(
+                name=f"{self.space.matching.slots[airy].name}/air", pos=p.air_pos[k], quat=p.air_quat[k], mass=AIR_MASS, ipos=[0, 0, 0],
                 inertia=p.air_inertia[k], explicitinertial=True,
             )
         flange = bodies[self._arm - 1]

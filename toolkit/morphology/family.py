@@ -159,7 +159,9 @@ def _as_capsules(models: Sequence[mujoco.MjModel]) -> None:
     """Where a geom is a sphere on some robots and a capsule on others, write the sphere as the capsule of no length that it is."""
     for geom in range(min(model.ngeom for model in models)):
         slim = next((model for model in models if model.geom_type[geom] == CAPSULE), None)
-        for model in models if slim is not None else ():
+        if slim is None:
+            continue
+        for model in models:
             if model.geom_type[geom] == SPHERE:
                 model.geom_type[geom], model.geom_size[geom, 1:] = CAPSULE, 0.0
                 model.geom_quat[geom], model.geom_sameframe[geom] = slim.geom_quat[geom], 0

@@ -187,8 +187,8 @@ class GraspLaw:
         for n, (k, f) in enumerate(zip(carrying, finger, strict=True)):
             shape = shapes[k]
             if shape.kind == mujoco.mjtGeom.mjGEOM_BOX:
-                first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
-                turned = self._space.turn_at_contact(first, shape.slot) @ shape.owners[first].rotation
+                first, its = shape.first
+                turned = self._space.turn_at_contact(first, shape.slot) @ its.rotation
                 out[n] = int(np.argmax(np.abs(turned.T @ self._push[f])))
         return out
 
@@ -226,7 +226,8 @@ class GraspLaw:
                 continue
             out[chain], points[f], touches[f] = meet(  # type: ignore[call-arg]  # as above
                 angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
-                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces, gap[f], height[f], minding[f], tilt[f],
+                *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces,  # type: ignore[arg-type]
+                gap[f], height[f], minding[f], tilt[f],
             )
         return out, points, touches
 
@@ -316,11 +317,12 @@ class GraspLaw:
         pressing = force > 0
         tilts = self._known(np.where(pressing, tilts, np.nan), 0.0)
         heights = self._known(np.where(pressing, heights, np.nan), heights.mean(axis=0))
-        shares, ramps, fulls = (self._known(np.array(v), d) for v, d in ((shares, 0.5), (ramps, 0.0), (fulls, 1.0)))
+        shares, ramps = self._known(shares, 0.5), self._known(ramps, 0.0)
+        filled = self._known(np.array(fulls), 1.0)
         # A joint without a motor has no course of its own to keep to.
         early, late = (
             self._known(np.where(strong, at - part[:, self._finger_of] * np.array(ways), np.nan), 0.0)
-            for at, part in ((early, shares), (late, fulls))
+            for at, part in ((early, shares), (late, filled))
         )
         self._strongest = np.maximum(np.abs(motors).max(axis=0), STRONGEST)
         blocks = [
@@ -379,13 +381,13 @@ class GraspLaw:
         """(nv,) torques of the soft constraints on fingers at rest."""
         out = np.zeros(model.nv)
         solimp, time, active, goal = model.eq_solimp, model.eq_solref[:, 0], model.eq_active0, model.eq_data
-        if len(self._tendons):
+        if self._tendons is not None:
             e, t = self._tendons
             residual = data.ten_length[t] - model.tendon_length0[t] - goal[e, 0]
             force = held(residual, solimp[e], time[e], model.tendon_invweight0[t], active[e])
             for row, joints, wraps in zip(force, self._wrapped, self._wraps, strict=True):
                 out[joints] += row * model.wrap_prm[wraps]
-        if len(self._curves):
+        if self._curves is not None:
             e, pads, drives = self._curves
             x, bend = data.qpos[self._qpos_of[drives]], goal[e, 1:3]
             inverse = model.dof_invweight0[pads] + model.dof_invweight0[drives]
@@ -399,11 +401,12 @@ class GraspLaw:
         """Where the soft constraints stand in the model: on tendons, and on pads that follow curves."""
         tendon = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_TENDON)
         joint = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)
-        self._tendons = (tendon, model.eq_obj1id[tendon]) if len(tendon) else ()
+        self._tendons = (tendon, model.eq_obj1id[tendon]) if len(tendon) else None
         first, count = model.tendon_adr, model.tendon_num
         self._wraps = [np.arange(first[t], first[t] + count[t]) for t in model.eq_obj1id[tendon]]
         self._wrapped = [model.jnt_dofadr[model.wrap_objid[wraps]] for wraps in self._wraps]
-        self._curves = (joint, model.jnt_dofadr[model.eq_obj1id[joint]], model.jnt_dofadr[model.eq_obj2id[joint]]) if len(joint) else ()
+        follow = (joint, model.jnt_dofadr[model.eq_obj1id[joint]], model.jnt_dofadr[model.eq_obj2id[joint]])
+        self._curves = follow if len(joint) else None
         self._qpos_of = model.jnt_qposadr[model.dof_jntid]  # of a degree of freedom; the free object's are not asked for
 
     def motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> Motors:

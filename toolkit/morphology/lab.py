@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from robots.model_robot import ModelRobot
 from robots.robot import Robot
+from tasks.pick import PickTask
 from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
@@ -52,14 +53,17 @@ class Lab:
 
     def __init__(self, source: System, targets: Sequence[System], task: Task) -> None:
         check_roles(source, targets)
-        check_players([source, *targets], task)
+        robots = [source, *targets]
+        check_players(robots, task)
         self.source, self.targets, self.task = source, tuple(targets), task
         if isinstance(task, ModelTask):
-            self.space = FamilySpace([source, *targets], task)
+            self.space = FamilySpace([robot for robot in robots if isinstance(robot, ModelRobot)], task)
             self.merged = MergedModel(self.space, task)
-        else:
-            self.space = EvolutionSpace(match([source, *targets]))
+        elif isinstance(task, PickTask):
+            self.space = EvolutionSpace(match([robot for robot in robots if isinstance(robot, Robot)]))
             self.merged = MergedRobot(self.space, task)
+        else:
+            raise ToolkitError(f"task {task.name!r} is neither a pick nor a task on one model (tasks/task.py), and F knows no other")
 
     def terminals(self) -> tuple[Terminal, list[Terminal]]:
         """Source and targets as points of the evolution space."""

@@ -182,7 +182,7 @@ class _Bench:
         self._start = start
         self.place(OUT_OF_REACH)
 
-    def place(self, position: Sequence[float]) -> None:
+    def place(self, position: Sequence[float] | np.ndarray) -> None:
         """Everything at its start, the object at ``position`` (3,) [m]."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self._start
@@ -265,7 +265,9 @@ def _on_boxes(bench: _Bench, grasp: np.ndarray) -> np.ndarray:
 
 def _closing(bench: _Bench) -> np.ndarray:
     """(n, 2, n_roles) motions of the gripper closing in free air at its own rate until the jaws meet."""
-    gripper, rows = bench.robot.gripper, list[list[float]]()
+    gripper, rows = bench.robot.gripper, list[np.ndarray]()
+    if gripper.rate is None:
+        raise ToolkitError(f"gripper {gripper.name} is on four-bar linkages, but its card has no rate of closing; give it one")
     bench.place(OUT_OF_REACH)
     for command in np.arange(gripper.preshape + gripper.rate, 1.0 + gripper.rate / 2, gripper.rate):
         for _ in range(SAMPLES):
@@ -360,7 +362,7 @@ def equivalent_linkages(
         out.append(
             Linkage(
                 role, pads[i], knuckles[i], turn, *_spring(*cost), _damping(closing[:, 0, i], closing[:, 1, i], np.array(cost)),
-                tuple(map(float, curve)), float(hold), float(stop), float(gear), float(slack),
+                (float(curve[0]), float(curve[1])), float(hold), float(stop), float(gear), float(slack),
             )
         )
     return out

@@ -322,6 +322,18 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, carrier: dict[int, int])
     return tuple(shapes), meshes
 
 
+def _owned(joints: Sequence[Joint | None], slot: int) -> Joint:
+    """The robot's joint in a slot.
+
+    Raises:
+        ToolkitError: it has none there.
+    """
+    joint = joints[slot]
+    if joint is None:
+        raise ToolkitError(f"a coupling or linkage needs a joint in slot {slot} of the merged tree, where the gripper's card names none")
+    return joint
+
+
 def _couplings(model: mujoco.MjModel, slot_of: dict[int, int], joints: Sequence[Joint | None]) -> tuple[Coupling, ...]:
     out = []
     held = {int(model.eq_obj1id[e]): e for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_TENDON}
@@ -331,8 +343,9 @@ def _couplings(model: mujoco.MjModel, slot_of: dict[int, int], joints: Sequence[
         for wrap in range(first, first + count):
             slot = slot_of[int(model.wrap_objid[wrap])]
             coefficient = float(model.wrap_prm[wrap])
-            start_length += coefficient * joints[slot].start
-            coefficients[slot] = coefficient * joints[slot].sign
+            joint = _owned(joints, slot)
+            start_length += coefficient * joint.start
+            coefficients[slot] = coefficient * joint.sign
         low, high = model.tendon_range[tendon] if model.tendon_limited[tendon] else (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
         pulls, pushes = map(float, model.tendon_lengthspring[tendon])
         equality = held.get(tendon)
@@ -355,11 +368,11 @@ def _open_chains(
     for linkage in linkages:
         driven, pad, knuckle = (index[role] for role in (linkage.driven, linkage.pad, linkage.knuckle))
         joints[driven] = replace(
-            joints[driven], damping=linkage.damping, spring=linkage.stiffness, spring_quadratic=linkage.quadratic,
+            _owned(joints, driven), damping=linkage.damping, spring=linkage.stiffness, spring_quadratic=linkage.quadratic,
             spring_rest=linkage.rest,
         )
         wide = (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)  # nothing may push against the lock
-        joints[knuckle] = replace(joints[knuckle], locked=True, limits=wide)
+        joints[knuckle] = replace(_owned(joints, knuckle), locked=True, limits=wide)
         unlimited = (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
         stop = {driven: -linkage.gear, pad: linkage.turn}
         stops.append(Coupling(stop, linkage.stop, (linkage.slack, UNLIMITED_LENGTH), unlimited, 0.0, False, 0.0))
@@ -540,8 +553,11 @@ def match_arms(readings: Sequence[Reading]) -> tuple[list[str], list[list[int]],
         merged: list[tuple[str, Screw]] = []
         slot_names: list[str] = []
         for i, j in align(costs):
-            name = names[i] if i is not None else f"{merged[-1][0] if merged else 'arm0'}b"
-            merged.append((name, screws[i] if i is not None else own[j]))
+            if i is not None:
+                name, screw = names[i], screws[i]
+            elif j is not None:
+                name, screw = f"{merged[-1][0] if merged else 'arm0'}b", own[j]
+            merged.append((name, screw))
             if j is not None:
                 slot_names.append(name)
                 joint = reading.arm_name(j)
@@ -618,7 +634,7 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
         joints[index[role]] = _welded(reading.tree.welded(body, data.qpos, axis))
     for role, actuator in role_actuators(model, robot).items():
         targets = (target_at(robot, role, -1.0), target_at(robot, role, 1.0))
-        joints[index[role]] = _drive(model, actuator, joints[index[role]], targets)
+        joints[index[role]] = _drive(model, actuator, _owned(joints, index[role]), targets)
     welded = {body: index[role] for role, body in reading.welded.items()}
     carrier = _carriers(model, slot_of, welded, arm_size - 1)
     shapes, meshes = _shapes(model, data, carrier)
@@ -628,10 +644,10 @@ def read_system(reading: Reading, slots: Sequence[Slot], arm: Sequence[int], axe
     if not np.allclose(data.site_xmat[site.id], np.eye(3).ravel(), atol=1e-4):
         raise ToolkitError(f"robot {robot.name}: its OSC base frame is turned at the start; OSC deltas would differ")
     follows = float(slot_of.get(int(model.body_jntadr[model.site_bodyid[site.id]]), -1) == 0)
-    couplings, curves = _couplings(model, slot_of, joints), ()
+    couplings, curves = _couplings(model, slot_of, joints), tuple[Curve, ...]()
     start = np.array(data.qpos)
     if robot.gripper.four_bar:
-        signs = {role: joints[index[role]].sign for role in robot.gripper.joints}
+        signs = {role: _owned(joints, index[role]).sign for role in robot.gripper.joints}
         linkages = equivalent_linkages(model, data, robot, signs, np.array(data.site(GRIP_SITE).xpos))
         couplings, curves = _open_chains(linkages, joints, index)
     limits = np.zeros(arm_size)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from grippers.gripper import DIGIT_OF, THUMB
 from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
-from toolkit.morphology.matching import CUBE, UNLIMITED_LENGTH, Coupling, Curve, Matching, Shape, System
+from toolkit.morphology.matching import CUBE, UNLIMITED_LENGTH, Coupling, Curve, Joint, Matching, Shape, System
 from toolkit.morphology.parameters import Field, ParameterSpace
 
 FROZEN_STIFFNESS = 200.0
@@ -106,6 +106,11 @@ class ShapeSlot:
     reference: np.ndarray
     owners: tuple[Shape | None, ...]
     read: tuple[Shape | None, ...]
+
+    @property
+    def first(self) -> tuple[int, Shape]:
+        """The first robot that has it, and its shape."""
+        return next((robot, owner) for robot, owner in enumerate(self.owners) if owner is not None)
 
 
 def _aligned(shape: Shape, reference: np.ndarray) -> Shape:
@@ -250,7 +255,7 @@ class EvolutionSpace(ParameterSpace):
         """(n_slots, 3): direction halfway between the robots' axes, at which axis tangents are taken."""
         out = []
         for index in range(len(self.matching.slots)):
-            axes = [s.joints[index].screw.axis for s in self.matching.systems if s.joints[index] is not None]
+            axes = [joint.screw.axis for s in self.matching.systems if (joint := s.joints[index]) is not None]
             mean = np.sum(np.unique(np.round(axes, 6), axis=0), axis=0) if axes else np.array([0.0, 0.0, 1.0])
             out.append(mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else axes[0])
         return np.array(out)
@@ -372,8 +377,8 @@ class EvolutionSpace(ParameterSpace):
         """
         rows = []
         for shape in self.shape_slots:
-            first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
-            own = self.turn_at_contact(first, shape.slot) @ shape.owners[first].rotation
+            first, its = shape.first
+            own = self.turn_at_contact(first, shape.slot) @ its.rotation
             turns = [None if owner is None else owner.rotation for owner in shape.owners]
             if turns[0] is None:
                 turns = [self.turn_at_contact(robot, shape.slot).T @ own if turn is None else turn for robot, turn in enumerate(turns)]
@@ -401,22 +406,22 @@ class EvolutionSpace(ParameterSpace):
             own = [found for found in system.shapes if found.slot == slot]
             if own:
                 toward = self.turn_at_contact(robot, slot).T @ (-CLOSING if slots[slot].element == THUMB.name else CLOSING)
-                first = next(robot for robot, owner in enumerate(shape.owners) if owner is not None)
+                first, its = shape.first
                 there = self.turn_at_contact(first, shape.slot).T @ (-CLOSING if slots[slot].element == THUMB.name else CLOSING)
                 front = max(found.position @ toward + _extent(found, toward) for found in own)
                 middle = np.mean([found.position for found in own], axis=0)
-                return middle + (front - _extent(shape.owners[first], there) - middle @ toward) * toward
-            below = self._next_below(system, slot)
-            if system.present(slot) and below is not None:
-                return 0.5 * (system.joints[slot].screw.anchor + system.joints[below].screw.anchor)
+                return middle + (front - _extent(its, there) - middle @ toward) * toward
+            joint, below = system.joints[slot], self._next_below(system, slot)
+            if joint is not None and below is not None:
+                return 0.5 * (joint.screw.anchor + below.screw.anchor)
             slot = slots[slot].parent
         return None
 
-    def _next_below(self, system: System, slot: int) -> int | None:
+    def _next_below(self, system: System, slot: int) -> Joint | None:
         """The nearest joint that a robot has below a slot, through those that it lacks."""
         for child, record in enumerate(self.matching.slots):
             if record.parent == slot:
-                found = child if system.present(child) else self._next_below(system, child)
+                found = system.joints[child] or self._next_below(system, child)
                 if found is not None:
                     return found
         return None

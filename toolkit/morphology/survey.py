@@ -6,12 +6,13 @@ All robots of a survey lie in one evolution space, so that their trees are measu
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from robots.model_robot import ModelRobot
 from robots.robot import Robot
 from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Metric, Terminal, evolution_tree
 from toolkit.morphology.family import FamilySpace
-from toolkit.morphology.lab import System
+from toolkit.morphology.lab import System, check_players
 from toolkit.morphology.matching import match
 from toolkit.morphology.space import EvolutionSpace
 
@@ -47,7 +48,13 @@ class Cost:
 
 def as_points(robots: Sequence[System], task: Task | None = None) -> list[Terminal]:
     """Robots as points of the one evolution space that they span, a family's in its task; the first is the source."""
-    space = FamilySpace(robots, task) if isinstance(task, ModelTask) else EvolutionSpace(match(list(robots)))
+    if task is not None:
+        check_players(robots, task)
+    space: FamilySpace | EvolutionSpace
+    if isinstance(task, ModelTask):
+        space = FamilySpace([robot for robot in robots if isinstance(robot, ModelRobot)], task)
+    else:
+        space = EvolutionSpace(match([robot for robot in robots if isinstance(robot, Robot)]))
     return [Terminal(name, space.beta(name)) for name in space.names]
 
 

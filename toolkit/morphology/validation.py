@@ -5,7 +5,7 @@ its author wrote; what only the compiler sees is translated by ``compiler_compla
 """
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -201,7 +201,9 @@ def _of_the_gripper(robot: Robot, model: MujocoXML) -> Iterator[str]:
     yield from _of_the_actuators(card.targets, {joint: role for role, joint in card.joints.items()}, label, model)
 
 
-def _of_the_actuators(targets: dict, role_of: dict[str, str], label: str, model: MujocoXML) -> Iterator[str]:
+def _of_the_actuators(
+    targets: Mapping[str, tuple[float, float]], role_of: dict[str, str], label: str, model: MujocoXML
+) -> Iterator[str]:
     driven = {_own(model, actuator, "joint"): actuator for actuator in model.actuator}
     for joint, actuator in driven.items():
         role = role_of.get(joint)
@@ -211,15 +213,15 @@ def _of_the_actuators(targets: dict, role_of: dict[str, str], label: str, model:
         elif role is not None and role not in targets:
             yield f"{label}: actuator {_own(model, actuator)!r} drives role {role}, which has no target; add its open and closed position"
     for role, pair in targets.items():
-        joint = next((joint for joint, other in role_of.items() if other == role), None)
-        if joint not in driven:
+        moved = next((joint for joint, other in role_of.items() if other == role), None)
+        if moved is None or moved not in driven:
             names = ", ".join(driven) or "no joint"
-            yield f"{label}: role {role} has a target, but joint {joint!r} has no actuator; its model drives {names}"
+            yield f"{label}: role {role} has a target, but joint {moved!r} has no actuator; its model drives {names}"
             continue
-        if _law(driven[joint]) != "position servo":
-            law = _article(_law(driven[joint]))
-            yield f"{label}: actuator {_own(model, driven[joint])!r} is {law}, but targets are positions; make it a <position> servo"
-        limits = _numbers(driven[joint], "ctrlrange")
+        if _law(driven[moved]) != "position servo":
+            law = _article(_law(driven[moved]))
+            yield f"{label}: actuator {_own(model, driven[moved])!r} is {law}, but targets are positions; make it a <position> servo"
+        limits = _numbers(driven[moved], "ctrlrange")
         outside = [v for v in pair if len(limits) == 2 and not limits[0] - 1e-6 <= v <= limits[1] + 1e-6]
         if outside:
             yield f"{label}: target {outside[0]:g} of role {role} lies outside its actuator's range {limits[0]:g} to {limits[1]:g}"
