@@ -1,4 +1,4 @@
-"""What the tests share: the robots merged once, and each unmodified robosuite robot loaded once."""
+"""What the tests share: two robots merged once, all of them where a test asks for all, and each unmodified robot loaded once."""
 
 import logging
 import shutil
@@ -47,6 +47,15 @@ def merged(space, task):
     from toolkit.morphology.build import MergedRobot
 
     return MergedRobot(space, task)
+
+
+@pytest.fixture(scope="session")
+def pair(task):
+    """The source and one target, merged: for what holds of any merged robot; all of them take several times as long."""
+    from robots import ROBOTS
+    from toolkit.morphology.lab import Lab
+
+    return Lab(ROBOTS["adroit"], [ROBOTS["kinova3"]], task)
 
 
 @pytest.fixture(scope="session")

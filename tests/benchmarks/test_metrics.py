@@ -5,14 +5,12 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from robots import ROBOTS
 from tasks import TASKS
 from toolkit.benchmarks import metrics as sensitivity
 from toolkit.benchmarks.metrics import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 from toolkit.evolution import Terminal, evolution_tree
 from toolkit.expert.training import new_learner
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.lab import Lab
 
 
 def test_weighted_terminals_are_apart_by_the_weighted_distance():
@@ -35,19 +33,18 @@ def test_a_metric_that_knows_what_matters_foretells_failure():
     assert judged.rank_correlation(np.zeros(20), 1 - knows) < 0.3
 
 
-def test_real_parameters_change_a_real_rollout(merged, space):
+def test_real_parameters_change_a_real_rollout(pair):
     """The first dimensions, measured twice: the same figures, finite, and not all of them zero."""
     policy, _ = new_learner(TASKS["061_foam_brick"], 0)
-    first = list(islice(sensitivities(merged, policy, space.betas[0]), 3))
-    assert first == list(islice(sensitivities(merged, policy, space.betas[0]), 3))
+    first = list(islice(sensitivities(pair.merged, policy, pair.space.betas[0]), 3))
+    assert first == list(islice(sensitivities(pair.merged, policy, pair.space.betas[0]), 3))
     assert np.isfinite(first).all() and min(first) >= 0 and max(first) > 0
 
 
-def test_what_a_robot_can_do_hangs_on_its_fingers(task):
+def test_what_a_robot_can_do_hangs_on_its_fingers(pair):
     """Between hand and jaw: a finger's dimension changes the grip, most arm joints' do not."""
-    lab = Lab(ROBOTS["adroit"], [ROBOTS["kinova3"]], task)
-    weights = capability_weights(lab.merged, [lab.space.beta("kinova3")], lambda done, total: None)
-    element = {p.dimension: p.element for p in lab.space.parameters}
+    weights = capability_weights(pair.merged, [pair.space.beta("kinova3")], lambda done, total: None)
+    element = {p.dimension: p.element for p in pair.space.parameters}
     fingers = max(weights[d] for d in element if element[d] in ("FF", "TH"))
     arm = [weights[d] for d in element if element[d].startswith("arm") and element[d] != "arm7"]
     assert fingers > 1.0 and (not arm or max(arm) < 0.2 * fingers), (fingers, arm)

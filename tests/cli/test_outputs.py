@@ -153,11 +153,11 @@ def test_a_whole_recording_is_whole(tmp_path):
     finish(other, tmp_path / "b.rrd")
 
 
-def test_a_dump_that_cannot_be_written_costs_no_episode(tmp_path, merged):
+def test_a_dump_that_cannot_be_written_costs_no_episode(tmp_path, pair):
     from toolkit.simulation.rollout import RolloutEngine
 
-    engine = RolloutEngine(merged, threads=1, dump=tmp_path / "nosuch" / "divergence.npz")
-    played = engine.play(lambda observation, rng: np.full(28, np.nan), [merged.space.betas[0]] * 2, [0, 1])
+    engine = RolloutEngine(pair.merged, threads=1, dump=tmp_path / "nosuch" / "divergence.npz")
+    played = engine.play(lambda observation, rng: np.full(28, np.nan), [pair.merged.space.betas[0]] * 2, [0, 1])
     engine.close()
     assert [episode.diverged for episode in played] == [True, True]
     assert "nosuch/divergence.npz cannot be written (No such file or directory)" in engine.trouble

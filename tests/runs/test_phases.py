@@ -111,12 +111,12 @@ def test_a_damaged_phase_is_named(tmp_path, policy, damage):
         load_phase(file)
 
 
-def test_a_film_is_the_episode_again(merged, policy):
+def test_a_film_is_the_episode_again(pair, policy):
     """Same policy, robot and seed: the same actions, bit by bit; contact forces hold the object against gravity."""
-    beta = merged.space.betas[0]
+    beta = pair.merged.space.betas[0]
     actor = MeanActor(policy)
-    played = play(merged_plant(merged, beta, *merged.new()), actor, 11, beta)
-    film = shoot(merged_plant(merged, beta, *merged.new()), actor, 11, beta)
+    played = play(merged_plant(pair.merged, beta, *pair.merged.new()), actor, 11, beta)
+    film = shoot(merged_plant(pair.merged, beta, *pair.merged.new()), actor, 11, beta)
     np.testing.assert_array_equal(film.actions, played.actions)
     assert film.success == played.success and film.verdict().startswith("success")
     assert len(film.qpos) == played.steps + 1 == len(film.target) + 1

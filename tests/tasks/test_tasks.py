@@ -54,14 +54,14 @@ def table_geom(model):
 
 
 @pytest.fixture(scope="module")
-def scenes(space):
+def scenes(pair):
     """object name -> (robosuite's scene, the merged scene)."""
     loaded = {}
 
     def load(name):
         if name not in loaded:
             task = PickTask(OBJECTS[name])
-            loaded[name] = native_env(ROBOTS["kinova3"], task), MergedRobot(space, task).template
+            loaded[name] = native_env(ROBOTS["kinova3"], task), MergedRobot(pair.space, task).template
         return loaded[name]
 
     return load
@@ -168,9 +168,10 @@ def test_an_impossible_object_is_refused(shape, half_size, mass):
         PickObject("thing", shape, half_size, mass)
 
 
-def test_a_cards_friction_is_that_of_both_scenes(space):
+def test_a_cards_friction_is_that_of_both_scenes(pair):
     waxed = PickObject("waxed", "box", (0.03, 0.02, 0.02), 0.05, friction=(0.2, 0.001, 0.0003))
-    native, merged_model = native_env(ROBOTS["kinova3"], PickTask(waxed)).sim.model._model, MergedRobot(space, PickTask(waxed)).template
+    slick = PickTask(waxed)
+    native, merged_model = native_env(ROBOTS["kinova3"], slick).sim.model._model, MergedRobot(pair.space, slick).template
     for model in (native, merged_model):
         np.testing.assert_allclose(model.geom_friction[object_geom(model)[1]], waxed.friction)
 
@@ -229,19 +230,19 @@ def carried(plant, places):
     return act
 
 
-def test_success_in_a_rollout_needs_consecutive_steps(merged, space, task):
-    plant = merged_plant(merged, space.beta("kinova3"), *merged.new())
+def test_success_in_a_rollout_needs_consecutive_steps(pair, task):
+    plant = merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new())
     steps, aside = task.hold_steps, [0.3, 0.3, 0.9]
     act = carried(plant, ["goal"] * (steps - 1) + [aside] + ["goal"] * steps)
-    episode = play(plant, act, 0, space.beta("kinova3"))
+    episode = play(plant, act, 0, pair.space.beta("kinova3"))
     assert episode.success and episode.terminated
     assert episode.steps == 2 * steps, f"ended after {episode.steps} steps, {2 * steps} expected"
     assert episode.rewards.tolist() == [0.0] * (2 * steps - 1) + [1.0], "one reward, on the last step"
 
 
-def test_a_lost_object_ends_a_rollout_as_a_failure(merged, space):
-    plant = merged_plant(merged, space.beta("kinova3"), *merged.new())
-    episode = play(plant, carried(plant, [None, None, [1.5, 0.0, 0.5]]), 0, space.beta("kinova3"))
+def test_a_lost_object_ends_a_rollout_as_a_failure(pair):
+    plant = merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new())
+    episode = play(plant, carried(plant, [None, None, [1.5, 0.0, 0.5]]), 0, pair.space.beta("kinova3"))
     assert (episode.steps, episode.success, episode.diverged, episode.terminated) == (3, False, False, True)
     assert episode.total_reward == 0.0
 
@@ -289,9 +290,9 @@ def test_starts_fill_their_noise():
 
 
 @pytest.mark.parametrize("seed", [0, 3, 10**9])
-def test_engine_and_robosuite_start_from_the_same_seed_alike(native, native_fast, merged, space, seed):
+def test_engine_and_robosuite_start_from_the_same_seed_alike(native, native_fast, pair, seed):
     robot, fast = native("kinova3"), native_fast("kinova3")
-    plant = merged_plant(merged, space.beta("kinova3"), *merged.new())
+    plant = merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new())
     observations = [robot.begin(seed), fast.begin(seed), plant.begin(seed)]
     for label, other in zip(("native engine", "merged engine"), observations[1:], strict=True):
         apart = np.abs(other - observations[0]).max()
