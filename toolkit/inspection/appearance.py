@@ -116,7 +116,8 @@ def _instance(index: int, system: System, matching: Matching, mesh: int, body: i
     mujoco.mj_kinematics(system.model, data)
     slot = _slot_of(system, matching, body)
     # At the start posture a slot's frame has world axes and stands at its anchor.
-    anchor = system.joints[slot].screw.anchor if slot >= 0 else np.zeros(3)
+    joint = system.joints[slot] if slot >= 0 else None
+    anchor = np.zeros(3) if joint is None else joint.screw.anchor
     return Instance(index, mesh, body, slot, np.array(data.xpos[body]) - anchor, np.array(data.xquat[body]))
 
 

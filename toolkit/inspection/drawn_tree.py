@@ -74,7 +74,7 @@ class Plan:
         """Names of the paths into which one that ends at the node parts, and of theirs; as ``Branch.split`` gives them."""
         order = list(self.nodes)
         inner = [child for child in self._children[node] if child not in passed]  # a tree of a damaged file may bite its tail
-        ends = [(self.below[child], child) for child in inner]
+        ends: list[tuple[frozenset[str], str | None]] = [(self.below[child], child) for child in inner]
         if inner and self.nodes[node]["kind"] == "target":
             ends.append((frozenset([node]), None))
         ends = sorted(ends, key=lambda end: min((order.index(name) for name in end[0]), default=len(order)))

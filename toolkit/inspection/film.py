@@ -123,9 +123,11 @@ class _PickRecorder(_Recorder):
 
     frames = ("qpos", "grasp", "carried")
     steps = ("target", "closing", "points", "forces", "by_robot")
+    object_body = -1
 
     def begun(self, plant: Any) -> None:
         super().begun(plant)
+        self.object_body = int(plant.object_body)
         self.notes["grasp"].append(plant.grasp_position)
         self.notes["carried"].append(np.array(plant.object_position))
 
@@ -145,8 +147,7 @@ def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
     Args:
         plant, actor, seed, alpha: as the episode had them.
     """
-    pick = isinstance(plant.task, PickTask)
-    recorder = _PickRecorder() if pick else _Recorder()
+    recorder = _PickRecorder() if isinstance(plant.task, PickTask) else _Recorder()
     episode, notes = play(plant, actor, seed, alpha, recorder), recorder.notes
     sound = int(np.isfinite(np.array(notes["qpos"])).all(axis=1).cumprod().sum())  # frames before the first that is not finite
     frames = max(1, min(sound, episode.steps + 1))
@@ -157,10 +158,10 @@ def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
         "interval": 1.0 / plant.task.control_frequency, "horizon": plant.task.horizon, "success": episode.success,
         "diverged": episode.diverged,
     }
-    if not pick:
+    if not isinstance(recorder, _PickRecorder):
         return Film(**told)
     return PickFilm(
-        **told, object_body=plant.object_body, grasp=array("grasp", frames), target=array("target", frames - 1).reshape(-1, 3),
+        **told, object_body=recorder.object_body, grasp=array("grasp", frames), target=array("target", frames - 1).reshape(-1, 3),
         carried=array("carried", frames), goal=np.array(plant.goal), closing=array("closing", frames - 1),
         points=notes["points"][: frames - 1], forces=notes["forces"][: frames - 1], by_robot=notes["by_robot"][: frames - 1],
     )

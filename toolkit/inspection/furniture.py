@@ -26,6 +26,8 @@ def furniture(model: mujoco.MjModel) -> list[Mesh]:
         seen = model.geom_group[model.geom_bodyid == body] == 1  # the others are what the pedestal is to collisions
         if model.body(body).name.startswith(STANDING) and seen.any():
             mesh, turn = body_mesh(model, body), data.xmat[body].reshape(3, 3)
+            if mesh is None:
+                continue
             vertices = (mesh.vertices @ turn.T + data.xpos[body]).astype(np.float32)
             normals = (mesh.normals @ turn.T).astype(np.float32)
             found.append(Mesh(model.body(body).name, vertices, normals, mesh.colours, mesh.faces, mesh.digest))
@@ -42,14 +44,14 @@ def world_meshes(model: mujoco.MjModel, low: np.ndarray, high: np.ndarray) -> li
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = []
-    for geom in np.flatnonzero(model.geom_bodyid == 0):
+    for geom in map(int, np.flatnonzero(model.geom_bodyid == 0)):
         if model.geom_group[geom] > 2 or geom_colour(model, geom)[3] == 0:  # as of mjv_defaultOption
             continue
         turn, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-            found.append(_plane(model, geom, (low + high) / 2, FLOOR * np.linalg.norm(high - low)))
+            found.append(_plane(model, geom, (low + high) / 2, FLOOR * float(np.linalg.norm(high - low))))
         else:
-            mesh = geom_mesh(model, int(geom))
+            mesh = geom_mesh(model, geom)
             vertices, normals = mesh.vertices @ turn.T + place, mesh.normals @ turn.T
             found.append(Mesh(mesh.name, vertices.astype(np.float32), normals.astype(np.float32), mesh.colours, mesh.faces, mesh.digest))
     return found
@@ -57,9 +59,9 @@ def world_meshes(model: mujoco.MjModel, low: np.ndarray, high: np.ndarray) -> li
 
 def _plane(model: mujoco.MjModel, geom: int, middle: np.ndarray, reach: float) -> Mesh:
     """A plane as a square about the foot of a point (3,), no further than ``reach`` [m], nor than the plane itself."""
-    place, turn = np.array(model.geom_pos[geom]), np.empty(9)
-    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-    turn = turn.reshape(3, 3)
+    place, flat = np.array(model.geom_pos[geom]), np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
+    turn = flat.reshape(3, 3)
     half = np.where(model.geom_size[geom, :2] > 0, model.geom_size[geom, :2], np.inf)
     foot = ((middle - place) @ turn)[:2]
     low, high = np.maximum(foot - reach, -half), np.minimum(foot + reach, half)

@@ -100,4 +100,4 @@ def _draw_key(axes: Axes, matching: Matching, columns: float) -> None:
         _draw_joint(axes, spot, [other == k for other in range(len(matching.systems))])
         count = sum(joint is not None and joint.mujoco_joint >= 0 for joint in system.joints)
         text = f"{system.robot.name}\n{count} joints"
-        axes.annotate(text, spot + [NODE_RADIUS + 0.1, 0.0], ha="left", va="center", fontsize=9)
+        axes.annotate(text, (spot[0] + NODE_RADIUS + 0.1, spot[1]), ha="left", va="center", fontsize=9)

@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolkit.errors import ToolkitError
 from toolkit.inspection.appearance import Appearance, Mesh, body_mesh, geom_colour, geom_mesh, geom_triangles, weights
-from toolkit.inspection.film import Film
+from toolkit.inspection.film import Film, PickFilm
 from toolkit.inspection.furniture import furniture, world_meshes
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.family import MergedModel
@@ -110,7 +111,7 @@ class Motion:
 
     def stretched(self, count: int) -> "Motion":
         """Its first ``count`` frames; the last one again where there are fewer."""
-        parts = {name: tuple(held(array, count) for array in part) for name, part in self.parts.items()}
+        parts = {name: (held(places, count), held(turns, count), held(sizes, count)) for name, (places, turns, sizes) in self.parts.items()}
         carried = None if self.carried is None else held(self.carried, count)
         return Motion(held(self.positions, count), held(self.quaternions, count), held(self.weights, count), parts, carried)
 
@@ -124,7 +125,8 @@ def held(values: np.ndarray, count: int) -> np.ndarray:
 def _joined(frames: list[Motion]) -> Motion:
     """Motions of single frames, one after another."""
     stack = lambda arrays: np.concatenate(list(arrays))  # noqa: E731
-    parts = {name: tuple(stack(frame.parts[name][k] for frame in frames) for k in range(3)) for name in frames[0].parts}
+    part = lambda name, k: stack(frame.parts[name][k] for frame in frames)  # noqa: E731
+    parts = {name: (part(name, 0), part(name, 1), part(name, 2)) for name in frames[0].parts}
     carried = None if frames[0].carried is None else stack(frame.carried for frame in frames)
     return Motion(stack(frame.positions for frame in frames), stack(frame.quaternions for frame in frames),
                 stack(frame.weights for frame in frames), parts, carried)
@@ -150,7 +152,7 @@ class Visual(ABC):
     framing: Framing
 
     @abstractmethod
-    def standing(self, alphas: Sequence[np.ndarray]) -> Motion:
+    def standing(self, alphas: Sequence[np.ndarray] | np.ndarray) -> Motion:
         """Robots F(alpha) at the start, one per frame."""
 
     @abstractmethod
@@ -175,6 +177,7 @@ class ArmVisual(Visual):
     """
 
     framing = AT_THE_TABLE
+    carried: Mesh
 
     def __init__(self, merged: MergedRobot) -> None:
         self.merged, self.appearance = merged, Appearance(merged.space.matching)
@@ -190,10 +193,13 @@ class ArmVisual(Visual):
         self.primitives = {"bones": Primitives("capsules", np.array(BONE), thinness=BONE_SHARE),
                            "pads": Primitives("capsules", np.array(WIRE), wire=True),
                            "boxes": Primitives("boxes", np.array(WIRE), wire=True)}
-        self.carried = body_mesh(template, self._object)
+        carried = body_mesh(template, self._object)
+        if carried is None:
+            raise ToolkitError(f"task {merged.task.name!r} adds an object without a visible geom; give it one in group 0 or 1")
+        self.carried = carried
         self.scenery = furniture(merged.space.matching.systems[0].model)
 
-    def standing(self, alphas: Sequence[np.ndarray]) -> Motion:
+    def standing(self, alphas: Sequence[np.ndarray] | np.ndarray) -> Motion:
         """Robots F(alpha) at the start posture, one per frame."""
         frames = []
         model, data = self.merged.new()
@@ -216,6 +222,8 @@ class ArmVisual(Visual):
 
     def native(self, film: Film, robot: str) -> Motion:
         """A film on the unmodified robosuite robot."""
+        if not isinstance(film, PickFilm):
+            raise TypeError("a film of an arm with a gripper is a PickFilm")
         data = mujoco.MjData(film.model)
         index = self.merged.space.names.index(robot)
         own = [k for k, item in enumerate(self.appearance.instances) if item.robot == index]
@@ -350,7 +358,7 @@ class ModelVisual(Visual):
         self.merged.become(alpha, model, data)
         self.merged.task.scene(model, data).begin(np.random.default_rng(0))
 
-    def standing(self, alphas: Sequence[np.ndarray]) -> Motion:
+    def standing(self, alphas: Sequence[np.ndarray] | np.ndarray) -> Motion:
         """Robots F(alpha) where the episode of seed 0 begins, one per frame."""
         frames, (model, data) = [], self.merged.new()
         for alpha in alphas:

@@ -129,7 +129,7 @@ def _strips(plan: Plan, merged: Merged, progress: Callable[[str], None]) -> Iter
             start, end = (np.array(plan.nodes[edge[key]]["alpha"]) for key in ("from", "to"))
             shares = np.linspace(0.0, 1.0, STILLS)
             pictures = [renderer.take(np.clip(start + share * (end - start), 0.0, 1.0)) for share in shares]
-            yield figures.strip_figure(f"{edge['from']} to {edge['to']}", pictures, shares)
+            yield figures.strip_figure(f"{edge['from']} to {edge['to']}", pictures, shares.tolist())
     finally:
         renderer.close()
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -86,7 +87,7 @@ class ArmRenderer(_Camera):
 
     def shot(self, motion: Motion, frame: int, goal: np.ndarray | None) -> np.ndarray:
         """Picture of a frame of a motion; of an episode with its object and its goal (3,) [m], else with the object where it begins."""
-        carried = None if goal is None else motion.carried[frame]
+        carried = None if goal is None or motion.carried is None else motion.carried[frame]
         return self.draw(motion.positions[frame], motion.quaternions[frame], motion.weights[frame], carried, goal)
 
     def draw(
@@ -166,7 +167,11 @@ class ModelRenderer(_Camera):
 
 def renderer_of(visual: Visual, size: tuple[int, int] = (360, 360), near: bool = True) -> ArmRenderer | ModelRenderer:
     """Takes pictures of whatever robots there are; ``near``, of robots of a family, as of ModelRenderer."""
-    return ModelRenderer(visual, size, near) if isinstance(visual, ModelVisual) else ArmRenderer(visual, size)
+    if isinstance(visual, ArmVisual):
+        return ArmRenderer(visual, size)
+    if isinstance(visual, ModelVisual):
+        return ModelRenderer(visual, size, near)
+    raise TypeError(f"no renderer draws a {type(visual).__name__}")
 
 
 def write_on(picture: Image.Image, place: tuple[int, int], text: str, size: int) -> None:
@@ -247,7 +252,7 @@ def _lit_model(merged: MergedModel, size: tuple[int, int]) -> mujoco.MjModel:
     return model
 
 
-def _context(width: int, height: int) -> object:
+def _context(width: int, height: int) -> Any:
     """The first graphics context that works without a screen."""
     asked = os.environ.get("MUJOCO_GL", "").lower()
     problems = []
@@ -259,7 +264,7 @@ def _context(width: int, height: int) -> object:
     raise ToolkitError(f"no off-screen rendering here ({'; '.join(problems)}); `meta-evolve doctor` says how to mend it")
 
 
-def _maker(name: str) -> Callable[[int, int], object]:
+def _maker(name: str) -> Callable[[int, int], Any]:
     if name == "egl":
         from mujoco.egl import GLContext
     else:

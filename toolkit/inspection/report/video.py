@@ -155,11 +155,11 @@ def _drawn(
     renderer: ArmRenderer | ModelRenderer, motion: Motion, goal: np.ndarray | None, text: str, frames: Iterator[int]
 ) -> Iterator[Image.Image]:
     """A scene's pictures; one that stands still is drawn once."""
-    before, picture = None, None
+    last: tuple[int, Image.Image] | None = None
     for frame in frames:
-        picture = picture if frame == before else _captioned(renderer, motion, frame, goal, text)
-        before = frame
-        yield picture
+        if last is None or last[0] != frame:
+            last = frame, _captioned(renderer, motion, frame, goal, text)
+        yield last[1]
 
 
 def _captioned(renderer: ArmRenderer | ModelRenderer, motion: Motion, frame: int, goal: np.ndarray | None, text: str) -> Image.Image:
