@@ -9,7 +9,8 @@ from robosuite.models.objects import BoxObject, CylinderObject
 from robosuite.models.tasks import ManipulationTask
 
 from robots.robot import Robot
-from tasks.pick import OBJECT_SOLREF, TABLE_FULL_SIZE, TABLE_TOP, PickTask, at_goal, is_lost
+from tasks.pick import PickTask, at_goal, is_lost
+from tasks.table import OBJECT_SOLREF, TABLE_FULL_SIZE, TABLE_TOP
 
 
 @dataclass(frozen=True)

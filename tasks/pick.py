@@ -13,27 +13,18 @@ import numpy as np
 from grippers.gripper import COMMANDED_ROLES
 from tasks.objects import OBJECTS, PickObject
 from tasks.record import Entry, Record
+from tasks.table import TABLE_TOP, add_object, add_table
 from tasks.task import Task
 
 if TYPE_CHECKING:
     import mujoco
 
-TABLE_TOP = 0.8
-"""Height [m] of the table's surface above the floor: robosuite's table arena."""
-TABLE_FULL_SIZE = (0.8, 0.8, 0.05)
-"""[m]: robosuite's table arena."""
 START_POSITION = np.array([-0.10, 0.0, 0.95])
 """Grasp frame origin [m] at the start of every episode, for every robot, in the task's frame (floor, table centre)."""
 START_ROTATION = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Grasp frame axes at the start, as columns: x (closing axis, thumb side) along world y, z (approach) downwards."""
 OBJECT_XY = np.array([-0.10, 0.0])
 """Nominal object position [m] on the table."""
-TABLE_FRICTION = (1.0, 0.005, 0.0001)
-"""Sliding, spinning and rolling friction: robosuite's table arena."""
-OBJECT_SOLREF = (0.02, 1.0)
-"""Contact time constant [s] and damping ratio: MuJoCo's defaults."""
-OBJECT_MARGIN = {"box": 0.0, "cylinder": 0.001}
-"""Contact margin [m] by shape: robosuite's BoxObject and CylinderObject."""
 GOAL_OFFSET = np.array([0.0, 0.10, 0.20])
 """Goal [m] relative to the object's nominal start: lifted 0.2 m and carried 0.1 m aside."""
 
@@ -110,15 +101,11 @@ class PickTask(Task):
 
     def add_furniture(self, spec: "mujoco.MjSpec") -> None:
         """Add what stands around the robot to a scene that is being built, before the robot."""
-        from tasks.table import add_table
-
         add_table(spec)
 
     def add_object(self, spec: "mujoco.MjSpec") -> None:
         """Add what the robot moves, after it: a body "object" on a free joint of that name."""
-        from tasks.table import add_object
-
-        add_object(spec, self.object)
+        add_object(spec, self.object, (*OBJECT_XY, TABLE_TOP + self.object.half_height))
 
     def sample_start(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Start of an episode.

@@ -1,11 +1,22 @@
 """The table and what is picked from it, as parts of a MuJoCo scene around a robot; robosuite's own are in tasks/env.py."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from tasks.objects import PickObject
-from tasks.pick import OBJECT_MARGIN, OBJECT_SOLREF, OBJECT_XY, TABLE_FRICTION, TABLE_FULL_SIZE, TABLE_TOP
 
+TABLE_TOP = 0.8
+"""Height [m] of the table's surface above the floor: robosuite's table arena."""
+TABLE_FULL_SIZE = (0.8, 0.8, 0.05)
+"""[m]: robosuite's table arena."""
+TABLE_FRICTION = (1.0, 0.005, 0.0001)
+"""Sliding, spinning and rolling friction: robosuite's table arena."""
+OBJECT_SOLREF = (0.02, 1.0)
+"""Contact time constant [s] and damping ratio: MuJoCo's defaults."""
+OBJECT_MARGIN = {"box": 0.0, "cylinder": 0.001}
+"""Contact margin [m] by shape: robosuite's BoxObject and CylinderObject."""
 HAND_BIT, OBJECT_BIT = 2, 1
 """Contact bits: the hand touches object and table, object and table touch each other, the hand never itself."""
 
@@ -21,9 +32,9 @@ def add_table(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_light(pos=[0.5, -0.5, 2.5], dir=[-0.2, 0.2, -1])
 
 
-def add_object(spec: mujoco.MjSpec, item: PickObject) -> None:
-    """Add what is picked: body, free joint and geom named "object", at its nominal start."""
-    body = spec.worldbody.add_body(name="object", pos=[*OBJECT_XY, TABLE_TOP + item.half_height])
+def add_object(spec: mujoco.MjSpec, item: PickObject, position: Sequence[float]) -> None:
+    """Add what is picked: body, free joint and geom named "object", at a position (3,) [m]."""
+    body = spec.worldbody.add_body(name="object", pos=position)
     body.add_freejoint(name="object")
     kind = mujoco.mjtGeom.mjGEOM_BOX if item.shape == "box" else mujoco.mjtGeom.mjGEOM_CYLINDER
     size = [*item.half_size, *([0.0] * (3 - len(item.half_size)))]

@@ -6,7 +6,8 @@ import numpy as np
 
 from tasks.dexycb.recording import JOINT_NAMES, Recording
 from tasks.objects import OBJECTS, PickObject
-from tasks.pick import OBJECT_XY, START_ROTATION, TABLE_TOP, PickTask
+from tasks.pick import OBJECT_XY, START_ROTATION, PickTask
+from tasks.table import TABLE_TOP
 
 MASSES = {
     "002_master_chef_can": 0.414, "003_cracker_box": 0.411, "004_sugar_box": 0.514, "005_tomato_soup_can": 0.349,

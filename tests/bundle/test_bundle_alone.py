@@ -19,7 +19,8 @@ from safetensors.torch import load_file
 from robots import ROBOTS
 from tasks import TASKS
 from tasks.env import Pick
-from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION, TABLE_FRICTION
+from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION
+from tasks.table import TABLE_FRICTION
 from toolkit.bundle.manifest import Lineage, Success
 from toolkit.bundle.reading import FILES, HASHED, check_bundle, load_bundle, shipped_bundles
 from toolkit.errors import ToolkitError

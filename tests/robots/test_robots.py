@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from robots import ROBOTS
-from tasks.pick import GOAL_OFFSET, OBJECT_XY, START_POSITION, START_ROTATION, TABLE_TOP
+from tasks.pick import GOAL_OFFSET, OBJECT_XY, START_POSITION, START_ROTATION
+from tasks.table import TABLE_TOP
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
 from toolkit.learning.policy import MeanActor

@@ -17,7 +17,8 @@ from tasks.dexycb.recording import JOINT_NAMES, YCB_NAMES, RecordingError, read_
 from tasks.dexycb.scene import FINGER_DIRECTION, SceneError, _upright_box, scene_of
 from tasks.dexycb.standin import SERIALS, hand_joints, thumb_joints, write_standin
 from tasks.objects import OBJECTS
-from tasks.pick import OBJECT_XY, TABLE_TOP
+from tasks.pick import OBJECT_XY
+from tasks.table import TABLE_TOP
 
 FRAMES = 10
 MASTER, SECOND = SERIALS

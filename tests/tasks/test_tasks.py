@@ -23,11 +23,11 @@ from tasks.pick import (
     OBSERVATION,
     OBSERVATION_SIZE,
     START_ROTATION,
-    TABLE_TOP,
     PickTask,
     is_lost,
     observe,
 )
+from tasks.table import TABLE_TOP
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.posture import native_env
 from toolkit.simulation.laws import merged_plant

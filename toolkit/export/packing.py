@@ -17,16 +17,8 @@ import numpy as np
 
 from grippers.gripper import COMMANDED_ROLES
 from robots.robot import Robot
-from tasks.pick import (
-    ACTION_SIZE,
-    OBJECT_XY,
-    OBSERVATION,
-    START_POSITION,
-    START_ROTATION,
-    TABLE_FULL_SIZE,
-    TABLE_TOP,
-    PickTask,
-)
+from tasks.pick import ACTION_SIZE, OBJECT_XY, OBSERVATION, START_POSITION, START_ROTATION, PickTask
+from tasks.table import TABLE_FULL_SIZE, TABLE_TOP
 from toolkit.bundle.manifest import (
     FORMAT,
     FORMAT_VERSION,
