@@ -20,7 +20,7 @@ from tasks.dexycb.standin import write_standin
 from toolkit import cli
 from toolkit.benchmarks.results import finished_runs, write_results
 from toolkit.cli import main
-from toolkit.demonstrations.rehearsal import Broken, Studio, teachers_for
+from toolkit.demonstrations.rehearsal import Broken, Retargeter, teachers_for
 from toolkit.errors import ToolkitError
 from toolkit.runs.phases import FOLDER, Phase, load_phases
 from toolkit.runs.run import Run
@@ -106,8 +106,8 @@ def test_a_broken_mesh_is_its_own_objects(hands, capsys):
     found = json.loads(out)
     assert {r["object"] for r in found["recordings"]} == set() or BOX not in {r["object"] for r in found["recordings"]}
     assert len(found["broken"]) == 2 and "textured_simple.obj" in said
-    studio = Studio(hands, ROBOTS["adroit"])
-    assert isinstance(studio.demonstration_of(of(hands, BOX)[0]), Broken)
+    retargeter = Retargeter(hands, ROBOTS["adroit"])
+    assert isinstance(retargeter.demonstration_of(of(hands, BOX)[0]), Broken)
 
 
 def test_the_list_names_each_broken_one_and_shows_the_rest(hands, capsys):

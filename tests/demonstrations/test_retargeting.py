@@ -15,7 +15,7 @@ from tasks.dexycb.recording import FINGERS, JOINT_NAMES
 from tasks.dexycb.standin import SERIALS, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
-from toolkit.demonstrations.rehearsal import Dropped, Studio, teachers_for
+from toolkit.demonstrations.rehearsal import Dropped, Retargeter, teachers_for
 from toolkit.demonstrations.retargeting import DIGIT, REACHABLE, HandModel, touching
 from toolkit.demonstrations.scripts import entry
 from toolkit.demonstrations.tracks import Track, TrackScript, _stretch
@@ -34,13 +34,13 @@ def root(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def studio(root):
-    return Studio(root, ROBOTS["adroit"])
+def retargeter(root):
+    return Retargeter(root, ROBOTS["adroit"])
 
 
 @pytest.fixture(scope="module")
-def demonstration(studio):
-    return studio.demonstration(studio.read(studio.names[0]))
+def demonstration(retargeter):
+    return retargeter.demonstration(retargeter.read(retargeter.names[0]))
 
 
 # -- distances -----------------------------------------------------------------------------------------------
@@ -209,9 +209,9 @@ def test_the_way_is_stretched_to_the_goal(recorded, wanted):
 # -- replay --------------------------------------------------------------------------------------------------
 
 
-def test_a_recorded_pick_is_played_again_in_simulation(studio, demonstration):
+def test_a_recorded_pick_is_played_again_in_simulation(retargeter, demonstration):
     assert demonstration.succeeded, f"the replay fails after {demonstration.steps} steps"
-    trace = studio.trace(demonstration)
+    trace = retargeter.trace(demonstration)
     assert trace.success and len(trace.qpos) == demonstration.steps + 1
     np.testing.assert_allclose(trace.goal - trace.qpos[0, -7:-4], demonstration.scene.task.goal_offset, atol=1e-6)
     figures = demonstration.to_json()
@@ -241,7 +241,7 @@ def test_an_object_that_nobody_recorded_is_said(root):
 
 def test_an_empty_folder_is_said(tmp_path):
     with pytest.raises(ToolkitError, match="expected folders <subject>/<time>/meta.yml, found none"):
-        Studio(tmp_path, ROBOTS["adroit"])
+        Retargeter(tmp_path, ROBOTS["adroit"])
 
 
 def test_a_broken_recording_stops_with_its_sentence(root, tmp_path):
@@ -249,15 +249,15 @@ def test_a_broken_recording_stops_with_its_sentence(root, tmp_path):
 
     shutil.copytree(root, tmp_path / "broken")
     next((tmp_path / "broken").glob("*/*/pose.npz")).write_bytes(b"PK")
-    studio = Studio(tmp_path / "broken", ROBOTS["adroit"])
+    retargeter = Retargeter(tmp_path / "broken", ROBOTS["adroit"])
     with pytest.raises(ToolkitError, match="pose.npz: expected a whole .npz file"):
-        studio.read(studio.names[0])
+        retargeter.read(retargeter.names[0])
 
 
-def test_the_clip_is_drawn(studio, demonstration, tmp_path):
+def test_the_clip_is_drawn(retargeter, demonstration, tmp_path):
     from toolkit.inspection.recording.hands import Clip, record_clips
 
-    d, trace = demonstration, studio.trace(demonstration)
+    d, trace = demonstration, retargeter.trace(demonstration)
     clip = Clip(d.recording.name, d.scene.task.object, 0.04, d.scene.joints(d.recording), d.scene.object_poses(d.recording), d.hand,
                 d.motion.frames, d.motion.qpos, trace.model, trace.qpos, 0.05, "reaches the goal")
     record_clips(tmp_path / "hands.rrd", [clip, clip])

@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.demonstrations.rehearsal import Demonstration, Studio
+    from toolkit.demonstrations.rehearsal import Demonstration, Retargeter
 
 recordings = tyro.extras.SubcommandApp()
 
@@ -126,20 +126,20 @@ def retarget_recordings(
         json: print one JSON object.
     """
     robot = find_arm(source)
-    from toolkit.demonstrations.rehearsal import Broken, Dropped, Studio
+    from toolkit.demonstrations.rehearsal import Broken, Dropped, Retargeter
 
-    studio = Studio(root, robot, frame_rate)
-    unknown = [name for name in only if name not in studio.names]
+    retargeter = Retargeter(root, robot, frame_rate)
+    unknown = [name for name in only if name not in retargeter.names]
     if unknown:
-        raise ToolkitError(f"recording {unknown[0]!r} is not in {root}; it has: {', '.join(studio.names[:5])}, ...")
-    chosen, broken, objects = studio.about(object, only)
+        raise ToolkitError(f"recording {unknown[0]!r} is not in {root}; it has: {', '.join(retargeter.names[:5])}, ...")
+    chosen, broken, objects = retargeter.about(object, only)
     if not chosen:
         more = f"; {broken[0].why}" if broken else ""
         raise ToolkitError(f"{root} has no recording of {object or 'anything'}; it has: {', '.join(objects) or 'none'}{more}")
     results: list[Demonstration | Dropped | Broken] = []
     with Progress("retargeting", quiet=json) as progress:
         for name in chosen:
-            results.append(studio.demonstration_of(name))
+            results.append(retargeter.demonstration_of(name))
             good = sum(getattr(result, "succeeded", False) for result in results)
             progress.show("retargeting", f"{good} of {len(results)} replays succeed", len(results), len(chosen))
     shown = [result for result in results if not isinstance(result, Dropped | Broken)]
@@ -163,7 +163,7 @@ def retarget_recordings(
         emit(None, False, f"{succeeded} of {len(shown)} replays reach the recorded goal; "
                           f"{len(shown) - succeeded} fail in physics, {len(dropped)} cannot be followed.")
     if record is not None and shown:
-        _film(studio, shown, record)
+        _film(retargeter, shown, record)
     if mine:
         more = f" ({len(mine)} of {len(results)} are broken)" if len(mine) > 1 else ""
         raise ToolkitError(mine[0].why + more)
@@ -189,13 +189,13 @@ def _ranges(frames: Sequence[int]) -> str:
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs) or "-"
 
 
-def _film(studio: "Studio", shown: Sequence["Demonstration"], path: Path) -> None:
+def _film(retargeter: "Retargeter", shown: Sequence["Demonstration"], path: Path) -> None:
     """Write recordings, retargeted hands and replays side by side."""
     from toolkit.inspection.recording.hands import Clip, record_clips
 
     clips = []
     for d in shown:
-        trace = studio.trace(d)
+        trace = retargeter.trace(d)
         clips.append(Clip(
             d.recording.name, d.scene.task.object, 1.0 / d.recording.frame_rate, d.scene.joints(d.recording),
             d.scene.object_poses(d.recording), d.hand, d.motion.frames, d.motion.qpos, trace.model, trace.qpos,

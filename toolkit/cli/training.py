@@ -129,12 +129,12 @@ Shown = tuple[Path, float, bool]
 
 def _hands_teach(robot: "Robot", task: "PickTask", shown: Shown | None, config: "ExpertConfig", progress: Progress) -> Training:
     """A pick's expert: taught by a script, or by recordings of hands."""
-    from toolkit.demonstrations.rehearsal import Studio, teachers_for
+    from toolkit.demonstrations.rehearsal import Retargeter, teachers_for
     from toolkit.expert.training import train_expert
     from toolkit.simulation.rollout import RolloutEngine
 
     if shown is not None and not shown[2]:
-        Studio(shown[0], robot, shown[1])
+        Retargeter(shown[0], robot, shown[1])
 
     def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
         watch = progress.recordings(task.object.name)

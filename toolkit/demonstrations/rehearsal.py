@@ -79,7 +79,7 @@ class Broken:
     why: str
 
 
-class Studio:
+class Retargeter:
     """Retargets recordings of one root to one robot.
 
     Args:
@@ -214,15 +214,15 @@ def teachers_for(
     Raises:
         ToolkitError: there is no recording of the object, or none that can be followed.
     """
-    studio = Studio(root, robot, frame_rate)
-    mine, broken, known = studio.about(task.object.name)
+    retargeter = Retargeter(root, robot, frame_rate)
+    mine, broken, known = retargeter.about(task.object.name)
     if not mine:
         more = f"; {len(broken)} say of no object that they are about it, the first: {broken[0].why}" if broken else ""
         raise ToolkitError(f"{root} has no recording of {task.object.name}; it has: {', '.join(known) or 'none'}{more}")
     kept: list[Demonstration] = []
     counts = {"recordings": len(mine), "broken": 0, "dropped": 0, "failed_in_replay": 0}
     for done, name in enumerate(mine, 1):
-        shown = studio.demonstration_of(name)
+        shown = retargeter.demonstration_of(name)
         if isinstance(shown, Broken):
             counts["broken"] += 1
             broken.append(shown)
