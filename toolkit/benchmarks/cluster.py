@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from toolkit.benchmarks.paper import PAPER, SEEDS
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.lab import Lab
@@ -37,6 +38,26 @@ def same_bits(found: Sequence[Episode], wanted: Sequence[Episode]) -> bool:
     """Whether all arrays, counts and endings of the episodes are equal bit for bit."""
     pairs = zip(found, wanted, strict=True)
     return all(np.array_equal(value, getattr(other, name)) for one, other in pairs for name, value in vars(one).items())
+
+
+def paper_tables(episode_s: float) -> list[dict[str, Any]]:
+    """What the paper's tables would take, all seeds side by side, if an episode took a core so long [s].
+
+    A seed has an equal share of the processors. Its policy updates come one after the other, and each waits for one episode at least; its
+    episodes are played no faster than its processors allow. The longer of the two times counts; learning, checks and the tree's depth come
+    on top.
+
+    Returns:
+        a row per method and task: ``hours`` for each of ``CORES``, and the fewest ``cores`` with which updates are the limit.
+    """
+    rows = []
+    for suite, methods in PAPER.items():
+        for row in methods:
+            iterations, episodes = row.train_iterations[0], row.sim_epochs[0]
+            hours = [episode_s * max(iterations, episodes / (cores / SEEDS)) / 3600 for cores in CORES]
+            rows.append({"suite": suite, "method": row.method, "task": row.task, "hours": hours,
+                         "cores": int(np.ceil(SEEDS * episodes / iterations))})
+    return rows
 
 
 def measure_cluster(
@@ -91,4 +112,4 @@ def measure_cluster(
     busy = {cores: min(cores, paths * batch) for cores in CORES}
     projected = [{"cores": cores, "busy": count, "episodes_per_s": count / seconds} for cores, count in busy.items()]
     return {"rows": rows, "bytes_sent": sent, "bytes_returned": returned, "episode_s": seconds, "paths": paths, "batch": batch,
-            "projected": projected, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg()[0]}
+            "projected": projected, "paper": paper_tables(seconds), "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg()[0]}

@@ -6,6 +6,9 @@ and, in its appendix, "One-to-three policy transfer experiment results on DexYCB
 
 from dataclasses import dataclass
 
+SEEDS = 5
+"""Of each of the paper's rows."""
+
 
 @dataclass(frozen=True)
 class PaperRow:

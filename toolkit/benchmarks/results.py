@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from toolkit.benchmarks.paper import PaperRow
+from toolkit.benchmarks.paper import SEEDS, PaperRow
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import Evaluation
 from toolkit.evaluation.walk import Waypoint
@@ -242,7 +242,7 @@ def cost_table(runs: Sequence[Result], paper: Sequence[PaperRow] = ()) -> list[s
         lines.append(f"| {markdown(f'{method}, to {targets}')} | {markdown(task)} | {len(group)} | {' | '.join(cells)} | {wall} |")
     for row in paper:
         cells = [f"{mean} ± {deviation}" for mean, deviation in (row.train_iterations, row.sim_epochs)]
-        lines.append(f"| paper: {row.method} | {row.task} | 5 | {' | '.join(cells)} | not given | not given |")
+        lines.append(f"| paper: {row.method} | {row.task} | {SEEDS} | {' | '.join(cells)} | not given | not given |")
     return lines
 
 

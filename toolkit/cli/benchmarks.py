@@ -218,6 +218,9 @@ def bench_cluster(
             f"{row['ratio_to_local']:.2f}", "yes" if row["same_bits"] else "NO"] for row in found["rows"]])
     table(f"Worked out for {paths} paths at once with {batch} episodes per update", ["cores", "busy", "episodes/s"],
           [[row["cores"], row["busy"], f"{row['episodes_per_s']:.1f}"] for row in found["projected"]])
+    table("The paper's tables, five seeds side by side: hours of playing, were their episodes as long",
+          ["task", "method", *(f"{row['cores']} cores" for row in found["projected"]), "updates are the limit from"],
+          [[row["task"], row["method"], *(f"{hours:.2f}" for hours in row["hours"]), f"{row['cores']} cores"] for row in found["paper"]])
     print(f"An episode takes a core {found['episode_s']:.2f} s; {found['bytes_sent'] / 1024:.0f} KiB go out with it and "
           f"{found['bytes_returned'] / 1024:.0f} KiB come back. {found['cores']} cores, load {found['load']:.1f}.")
 
