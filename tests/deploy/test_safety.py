@@ -16,7 +16,7 @@ from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.kinematics import Kinematics, rotation_of, vector_of
 from toolkit.deploy.motion import Expected, Track
 from toolkit.deploy.runtime import Runtime
-from toolkit.deploy.safety import OVERSHOOT
+from toolkit.deploy.safety import CAMERA, OVERSHOOT
 
 ROUNDING = 1e-9
 
@@ -176,6 +176,17 @@ def test_a_late_state_passes_and_a_jump_does_not(bundle):
     for tick in range(1, bundle.manifest.watch.hold_ticks + 1):
         after = runtime.tick(changed(good, stamp=0.40 + 0.05 * tick), 0.40 + 0.05 * tick)
         assert after.command.hold and after.stop == (tick == bundle.manifest.watch.hold_ticks)
+
+
+@pytest.mark.parametrize("gap, holds", [(0.05, True), (0.10, False), (0.30, False)])
+def test_what_may_move_in_a_tick_may_move_farther_in_a_longer_time(bundle, gap, holds):
+    """As the fingers do that close while one state is old, or while the policy sleeps."""
+    entry = next(entry for entry in bundle.manifest.observation if entry.name == "object_from_grasp")
+    moved = 1.5 * max(CAMERA["object_from_grasp"], *entry.jump)
+    runtime, good = started(bundle), start_state(bundle)
+    assert runtime.tick(changed(good, stamp=0.05), 0.05).fault is None
+    tick = runtime.tick(changed(good, stamp=0.05 + gap, object_position=good.object_position + [0, 0, moved]), 0.05 + gap)
+    assert tick.command.hold == holds and (not holds or tick.fault.kind == "observation_jump")
 
 
 def test_a_state_that_stays_away_stops_the_arm(bundle):

@@ -123,7 +123,7 @@ class Guard:
         self._missed, self._late, self._up, self._away, self._lifted = 1, 0, 0, 0, False
         self._led, self._sank = np.inf, 0.0
         self._place: np.ndarray | None = None
-        self._stamp = self._placed = 0.0
+        self._stamp = self._placed = self._seen = 0.0
         self._velocity = np.zeros(3)
         self._arm_alive.begin()
         self._object_alive.begin()
@@ -271,12 +271,13 @@ class Guard:
             return Fault("not_finite", f"observation {self._names[int((~np.isfinite(observation)).argmax())]} is not finite")
         if self._last is not None:
             step = np.abs(observation - self._last)
-            bad = step > self._jump * self._missed
+            # A state that was waited for may be farther, whether the ticks between had states that were refused or none at all.
+            bad = step > self._jump * max(self._missed, self._hz * (self._stamp - self._seen))
             if bad.any():
                 self._missed += 1
                 worst = int(np.argmax(step / self._jump))
                 return Fault("observation_jump", f"observation {self._names[worst]} moved by {step[worst]:.3g} in a tick")
-        self._last, self._missed = observation, 1
+        self._last, self._missed, self._seen = observation, 1, self._stamp
         place = self.observer.kinematics.coordinates()
         spent = max(1.0 / self._hz, self._stamp - self._placed)  # a late tick is longer, and no faster
         self._velocity = np.zeros(3) if self._place is None else (place - self._place)[:3] / spent
