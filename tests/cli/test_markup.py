@@ -120,7 +120,7 @@ def test_markdown_has_as_many_columns_as_it_had(tmp_path, name):
     assert "\n" not in markdown(name) and re.sub(r"\\(\W|_)", r"\1", markdown(name)) == plain(name)
     report = _report_of()
     report |= {"source": name, "task": name, "targets": {name: report["targets"]["a"]}, "routes": {"path 1": ["s", name]}}
-    report |= {"untrained": {name: report["targets"][name]["native"]}, "audit": "audit: even", "stalls": {}}
+    report |= {"untrained": {name: report["targets"][name]["native"]}, "audit": "audit: even", "stalls": {}, "enough": 0.8}
     tree = evolution_tree(Terminal("s", np.zeros(2)), [Terminal("a", np.ones(2))], "l1", "steiner")
     rows = [line for line in summary(report, tree).splitlines() if line.startswith("|")]
     assert [len(cells(row)) for row in rows[:3]] == [5, 5, 5] and {len(cells(row)) for row in rows[3:]} == {4}
