@@ -204,10 +204,17 @@ def test_a_robots_computer_needs_few_rooms():
     assert not wrong, f"{wrong}; the writer of ONNX graphs alone takes a policy, when it is called"
 
 
-@pytest.mark.parametrize("module", [*(f"toolkit.morphology.{name}" for name in ("matching", "lab", "survey")), "toolkit.evolution"])
-def test_matching_and_trees_load_neither_learner_nor_viewer(module):
-    """By what is loaded, so that a slow machine changes nothing."""
-    heavy = ("torch", "rerun", "onnx", "onnxruntime") + (("robosuite", "mujoco") if module == "toolkit.evolution" else ())
+VIEWER = ("torch", "rerun", "onnx", "onnxruntime")
+
+
+@pytest.mark.parametrize("module, heavy", [
+    *((f"toolkit.morphology.{name}", VIEWER) for name in ("matching", "lab", "survey")),
+    ("toolkit.evolution", (*VIEWER, "robosuite", "mujoco")),
+    ("toolkit.deploy.runtime", ("torch", "rerun", "robosuite", "gymnasium")),
+])
+def test_nothing_heavy_is_loaded_without_need(module, heavy):
+    """Matching and trees ask for neither learner nor viewer, the arm's runtime for no simulation. By what is loaded, so that a slow machine
+    changes nothing."""
     code = f"import sys, {module}; print([name for name in {heavy!r} if name in sys.modules])"
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)

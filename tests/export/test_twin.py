@@ -287,10 +287,12 @@ def test_commands_survive_the_wire_and_odd_ones_do_not():
 
 
 def test_the_deploy_package_says_what_it_imports():
-    """No file of toolkit/deploy imports anything but NumPy, MuJoCo, mink, the toolkit's light files and the standard library."""
+    """No file of toolkit/deploy imports anything but NumPy, MuJoCo, mink, the judge of success, the toolkit's light files and the standard
+    library."""
     allowed = {"numpy", "mujoco", "mink", "toolkit", *sys.stdlib_module_names}
     vendors = {"rtde_control", "rtde_receive", "franky"}
     for path in (ROOT / "toolkit" / "deploy").rglob("*.py"):
-        found = set(re.findall(r"^\s*(?:from|import) ([a-z_0-9]+)", path.read_text(), re.MULTILINE))
+        text = re.sub(r"^from tasks.task import Judge$", "", path.read_text(), flags=re.MULTILINE)
+        found = set(re.findall(r"^\s*(?:from|import) ([a-z_0-9]+)", text, re.MULTILINE))
         code = {name for name in found if name not in allowed | vendors}
         assert not code - {"kortex_api", "builtin_interfaces", "trajectory_msgs", "sensor_msgs", "rclpy"}, f"{path}: {code}"
