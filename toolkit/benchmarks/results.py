@@ -26,6 +26,8 @@ from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 COSTS = ("train_iterations", "sim_epochs", "check_episodes")
 COMPARED = ("train_iterations", "sim_epochs")
 """Costs of which the paper gives a ratio of trees to independent paths."""
+PAPERS_OWN = 0.8
+"""Success at which the paper stops on hands; a run says its own, unless it is of a version before."""
 
 
 @dataclass(frozen=True)
@@ -384,7 +386,7 @@ def plot_success(runs: Sequence[Result], file: Path) -> None:
         rates = np.array([e["success_rate"] for e in found])
         bounds = np.array([e["ci95"] for e in found]).reshape(-1, 2).T
         panel.errorbar(rates, rows, xerr=np.abs(bounds - rates), fmt="o", color="black", markersize=4, capsize=2, linewidth=1)
-        panel.axvline(0.8, color="black", linestyle=":", linewidth=1)
+        panel.axvline(max(run.report.get("enough", PAPERS_OWN) for run in runs), color="black", linestyle=":", linewidth=1)
         panel.set_title(target, fontsize=9)
         panel.set(xlim=(-0.05, 1.05), ylim=(len(runs) - 0.5, -0.5), yticks=range(len(runs)), yticklabels=[run.name for run in runs])
         panel.grid(axis="y", linewidth=0.3)
@@ -438,7 +440,7 @@ def plot_curves(runs: Sequence[Result], file: Path) -> None:
         panel.axhline(run.config["transfer"]["threshold"], color="black", linestyle=":", linewidth=0.8)
         panel.set_title(run.name, fontsize=8)
         panel.set(xlabel="episodes on the path", ylim=(-0.03, 1.03))
-        panel.legend(fontsize=6)
+        panel.legend(fontsize=6, loc="lower right")
     for panel in panels[:, 0]:
         panel.set_ylabel("success")
     _save(figure, file)
