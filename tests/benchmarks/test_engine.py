@@ -119,3 +119,5 @@ def test_the_report_keeps_its_contract(task, expert):
     page = performance_page(found, "meta-evolve bench engine")
     assert f"| kinova3 | {row['control_steps_per_s']:.0f} | {row['ratio_to_bare_mj_step']:.2f} |" in page
     assert "## Episodes" not in page
+    machine = found["machine"]
+    assert f"on {machine['date']}, {machine['cores']} cores of {machine['processor']};" in page and machine["processor"]

@@ -13,11 +13,15 @@ action of the policy: 50 ms, 25 steps of physics.
 import ctypes
 import dataclasses
 import os
+import platform
+import re
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -406,6 +410,16 @@ def machine_load() -> float:
     return os.getloadavg()[0]
 
 
+def processor() -> str:
+    """What the machine calls its processor."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        text = ""
+    named = re.search(r"^model name\s*:\s*(.+)$", text, re.MULTILINE)
+    return named.group(1).strip() if named else platform.processor() or platform.machine()
+
+
 # ---- all of it -------------------------------------------------------------------------------------------------------
 
 
@@ -429,7 +443,8 @@ def measure_engine(
         "robots": [_measure_robot(robot, merged.task, actor, episodes, rounds, progress) for robot in robots],
         "merged": [_measure_merged(merged, name, actor, rounds, progress) for name in merged.space.matching.names],
         "scale": _measure_scale(merged, actor, progress) if scale else None,
-        "machine": {"cores": len(os.sched_getaffinity(0)), "load_before": before, "load_after": machine_load()},
+        "machine": {"cores": len(os.sched_getaffinity(0)), "processor": processor(), "date": date.today().isoformat(),
+                    "load_before": before, "load_after": machine_load()},
     }
 
 
@@ -498,10 +513,10 @@ def performance_page(found: dict[str, Any], command: str) -> str:
     machine, scale = found["machine"], found["scale"]
     lines = [
         "# Performance", "",
-        f"Written by `{command}` on {machine['cores']} cores; load {machine['load_before']:.1f} before and "
-        f"{machine['load_after']:.1f} after, the command included. A control step is one action of the policy: 50 ms, 25 steps of "
-        "physics. One thread is timed in processor time over contact-rich stretches of a real episode, the racers in turns; bare "
-        "mj_step plays the engine's recorded controls, so all three move alike.", "",
+        f"Written by `{command}` on {machine['date']}, {machine['cores']} cores of {machine['processor']}; load "
+        f"{machine['load_before']:.1f} before and {machine['load_after']:.1f} after, the command included. A control step is one action of "
+        "the policy: 50 ms, 25 steps of physics. One thread is timed in processor time over contact-rich stretches of a real episode, the "
+        "racers in turns; bare mj_step plays the engine's recorded controls, so all three move alike.", "",
         "## Unmodified robots", "",
         "| robot | control steps/s | of bare mj_step | of env.step | bare of env.step | two threads | bare on two threads | contacts "
         "| qpos off in 2 s | observation off | same endings |",
