@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tasks.pick import ACTION_SIZE
-from toolkit.bundle.manifest import BrakingDistance
+from toolkit.bundle.manifest import Braking, BrakingDistance
 from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import FORMS
 from toolkit.export.braking import lowest_rest
@@ -28,10 +28,10 @@ def falling(heights, actions=None):
 
 def test_the_lowest_rest_is_the_height_less_the_answer_and_the_braking_distance(manifest):
     """20 mm a tick are 0.4 m/s, from which the worst form brakes in 16 mm; only states with an answer count."""
-    distances = tuple(BrakingDistance(form, 0.4, reach, 0.2) for form, reach in zip(FORMS, (0.010, 0.016, 0.012), strict=True))
+    braking = Braking(tuple(BrakingDistance(form, 0.4, reach, 0.2) for form, reach in zip(FORMS, (0.010, 0.016, 0.012), strict=True)), 0.0)
     heights, step = [0.14, 0.12, 0.10, 0.08, 0.06], 1.0 / manifest.policy_hz
     assert 0.02 / step == pytest.approx(0.4)
-    rest = lambda played, delay: lowest_rest(played, delay, distances, manifest, gripper_action_map())  # noqa: E731
+    rest = lambda played, delay: lowest_rest(played, delay, braking, manifest, gripper_action_map())  # noqa: E731
     assert rest(falling(heights), 0) == pytest.approx(0.08 - 0.016)
     assert rest(falling(heights), 1) == pytest.approx(0.10 - 0.016), "the state at 80 mm is answered by no step of the episode"
     actions = np.zeros((4, ACTION_SIZE))

@@ -652,6 +652,13 @@ class Braking:
         _require(len(self.distances) > 0, "distances is empty")
         _require(min(min(d.speed_m_s, d.distance_m) for d in self.distances) >= 0, "a speed or a distance is negative")
 
+    @property
+    def curves(self) -> dict[str, tuple[Vector, Vector]]:
+        """Form -> rising speeds [m/s], from rest on, and the distance [m] gone from each; between them it is taken as linear."""
+        forms = dict.fromkeys(d.form for d in self.distances)
+        return {form: ((0.0, *(d.speed_m_s for d in self.distances if d.form == form)),
+                       (0.0, *(d.distance_m for d in self.distances if d.form == form))) for form in forms}
+
 
 @dataclass(frozen=True)
 class Simulation:

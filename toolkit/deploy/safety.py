@@ -104,11 +104,7 @@ class Guard:
         self._box_low, self._box_high = np.array(box.low), np.array(box.high)
         self._clearance = box.table_top_m + box.table_clearance_m
         self._held, self._hz, self._braking = watch.held_m, manifest.policy_hz, manifest.braking
-        forms = {entry.form for entry in manifest.braking.distances} if manifest.braking else set()
-        self._brakes: dict[str, np.ndarray] = {
-            form: np.array([(0.0, 0.0)] + [(entry.speed_m_s, entry.distance_m) for entry in manifest.braking.distances
-                                           if entry.form == form]).T for form in forms
-        } if manifest.braking else {}
+        self._brakes = manifest.braking.curves if manifest.braking else {}
         names = [entry.name for entry in manifest.observation for _ in range(entry.size)]
         self._object = np.array([i for i, name in enumerate(names) if name == "object_from_grasp"])
         half = [value for value in np.ravel(manifest.task.object.get("half_size_m", [])) if isinstance(value, float)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from robots.robot import Robot
 from tasks.pick import PickTask
-from toolkit.bundle.manifest import BrakingDistance, Manifest
+from toolkit.bundle.manifest import Braking, BrakingDistance, Manifest
 from toolkit.bundle.onnx_graph import ActionMap
 from toolkit.deploy.arm import FORMS, Command, Form
 from toolkit.deploy.kinematics import Kinematics
@@ -72,26 +72,23 @@ def _path(twin: Twin, form: Form, action: np.ndarray, manifest: Manifest, mjcf: 
     return np.array(places)
 
 
-def lowest_rest(
-    played: Played, delay: int, distances: tuple[BrakingDistance, ...], manifest: Manifest, action_map: ActionMap
-) -> float:
+def lowest_rest(played: Played, delay: int, braking: Braking, manifest: Manifest, action_map: ActionMap) -> float:
     """Smallest height [m] above the table at which the runtime would foresee the gripper's lowest point at rest in these episodes: held
     after the action that answers a state, and braking from that state's speed, in the worst of the forms. What does not sink stays.
 
     Args:
         played: episodes.
         delay: policy steps after which a state is answered.
-        distances: as measured.
+        braking: whose distances count.
         manifest, action_map: of the policy, and whose controller.
     """
     controller, lowest = manifest.controller, np.inf
     covers = controller.translation_m * controller.response.steady[2]  # upwards, which a turning first joint does not change
-    brakes = [np.array([(0.0, 0.0), *((d.speed_m_s, d.distance_m) for d in distances if d.form == form)]).T for form in FORMS]
     for grasp, heights, actions in zip(played.grasp, played.heights, played.actions, strict=True):
         leads = covers * action_map(actions[1 + delay :])[:, 2]  # the answers to the second state and those that follow
         velocity = np.diff(grasp[: len(leads) + 1, :3], axis=0) * manifest.policy_hz
         speed = np.linalg.norm(velocity, axis=1)
-        goes = np.max([np.interp(speed, *brake) for brake in brakes], axis=0)
+        goes = np.max([np.interp(speed, *curve) for curve in braking.curves.values()], axis=0)
         falls = np.where(velocity[:, 2] < 0.0, leads + goes * velocity[:, 2] / np.maximum(speed, 1e-9), 0.0)
         lowest = min(lowest, float((heights[1 : len(leads) + 1] + np.minimum(0.0, falls)).min()))
     return lowest

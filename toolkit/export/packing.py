@@ -355,9 +355,9 @@ def _describe(
         sha256={}, simulation=simulation, licence=licence(), holds=holds,
     )
     progress("braking in every form of command")
-    distances = measure_braking(robot, task, manifest, mjcf, arrays["episode_joints"])
-    lowest = min(lowest_rest(played, delay, distances, manifest, action_map) for delay, played in enumerate(late))
-    manifest = replace(manifest, format_version=FORMAT_VERSION, braking=Braking(distances, lowest - CLEARANCE_MARGIN),
+    braking = Braking(measure_braking(robot, task, manifest, mjcf, arrays["episode_joints"]), table_clearance_m=0.0)  # not known yet
+    lowest = min(lowest_rest(played, delay, braking, manifest, action_map) for delay, played in enumerate(late))
+    manifest = replace(manifest, format_version=FORMAT_VERSION, braking=replace(braking, table_clearance_m=lowest - CLEARANCE_MARGIN),
                        borne_delay_steps=len(late) - 1)
     urdf = robot_urdf(mjcf, manifest, coupled).encode()
     return manifest, {MJCF: mjcf.encode(), URDF: urdf, SCENE: scene.encode(), GOLDEN: _npz(arrays), README: _readme(manifest).encode()}
