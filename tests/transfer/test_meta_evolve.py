@@ -1118,12 +1118,27 @@ def test_a_policy_trained_to_the_goal_has_to_show_it_on_other_starts(tmp_path, l
     """One that succeeds on the starts of the schedule's checks alone is trained on until the budget is spent."""
     first = set(range(2 * 10**6, 2 * 10**6 + 8))
     toy = Toy()
-    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (lucky and 2 * 10**6 <= seed < 3 * 10**6 and seed not in first), seed)
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (lucky and 10**6 <= seed < 3 * 10**6 and seed not in first), seed)
     settings = config(learner=learner, kind="direct", path_budget=400, goal_episodes=8)
     transfer = transfer_of(tmp_path / "run", settings, toy, targets=[Terminal("near", np.array([0.2, 0.1, 0.0]))])
     transfer.meta_evolve()
     assert bool(records(transfer, "budget")) == lucky
     assert any(r["success"] >= settings.goal for r in records(transfer, "check")), "the checks alone would have been believed"
+
+
+def test_what_was_chosen_by_starts_is_not_left_by_the_same_starts(tmp_path):
+    """Where a policy fails anew and the turns end in the same update, the best one shows what it can do on starts of a second choice."""
+    checks = range(2 * 10**6, 2 * 10**6 + 8)
+    toy = Toy()
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, alpha + (seed not in checks), seed)
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=1, goal_episodes=8), toy)
+    (branch,) = transfer.pending
+    branch.updates, branch.turn, branch.turns, branch.best, branch.best_success = 4, "weights", 1, branch.policy.copy(), 0.5
+    transfer.training.train_to(branch, transfer.players.engine, SOURCE.alpha, 0.9, 8)
+    chosen, anew, left = (call["seeds"] for call in toy.of(training=False))
+    assert branch.best_success == 0.0, "it was measured anew, and left with that"
+    assert chosen == list(checks) and anew == [2 * 10**6 + 4 * 8 + i for i in range(8)]
+    assert len(left) == 8 and not set(left) & {*chosen, *anew} and min(left) >= TRAINING_SEEDS
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.75, 0.98])

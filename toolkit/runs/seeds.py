@@ -3,7 +3,8 @@
 TRAINING_SEEDS = 10**6
 """Training episodes of a transfer take their seeds below this number."""
 CHECKING_SEEDS = 2 * 10**6
-"""The schedule measures success on seeds from here on: the same for every robot (common random numbers), none trained."""
+"""The schedule measures success on seeds from here on, and a second time after the same update on those of the million before: the same
+for every robot (common random numbers), none trained."""
 DEMONSTRATION_SEEDS = 3 * 10**6
 """The expert's demonstrations, and the choice among those who demonstrate."""
 EXPERT_SEEDS = 4 * 10**6

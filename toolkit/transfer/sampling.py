@@ -113,8 +113,8 @@ class Sampler:
 
         Judged by the mean action, or ``exploring``, as NPG trains. A ``hasty`` one also ends after its first episodes where these
         promise little; so does a ``look`` at a robot that nothing trains for: most of those fail, and what is missed is looked at again.
-        ``floor`` is ``wanted`` itself if not given; a lower one tells policies apart that are not there yet. Each ``choice`` of starts is
-        the same for every robot and shares none with another.
+        ``floor`` is ``wanted`` itself if not given; a lower one tells policies apart that are not there yet. Each ``choice`` of starts, a
+        negative one included, is the same for every robot and shares none with another.
 
         Returns:
             the share of successes among the episodes played; at least ``wanted`` exactly if the policy has it.

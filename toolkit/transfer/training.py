@@ -52,7 +52,8 @@ class Training:
             floor = None if self.search is None or hasty else self.config.threshold  # at a target the better one is to be found
             success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty, floor=floor)
             held = success >= wanted
-            if held and branch.next_alpha is None and branch.updates > 0:
+            asked = held and branch.next_alpha is None and branch.updates > 0
+            if asked:
                 success = self.measure_anew(branch, player, alpha, wanted, episodes)
                 held = success >= self.config.enough
             enough = self.config.noisy_threshold
@@ -63,7 +64,7 @@ class Training:
             else:
                 outcome = self.keep_best(branch, success)
                 if outcome == "over":
-                    outcome = self.leave(branch, self.measure_anew(branch, player, alpha, wanted, episodes))
+                    outcome = self.leave(branch, self.measure_anew(branch, player, alpha, wanted, episodes, again=asked))
                 if outcome != "training":
                     return outcome
         if branch.ledger.cost.sim_epochs >= self.config.path_budget:
@@ -101,12 +102,15 @@ class Training:
         branch.begin_turn(turns[branch.turns % len(turns)])
         return "over" if over and not on_the_way else "training"
 
-    def measure_anew(self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int) -> float:
-        """Success of the policy on a target, on ``episodes`` starts of their own.
+    def measure_anew(
+        self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, again: bool = False
+    ) -> float:
+        """Success of the policy on a target, on ``episodes`` starts of their own; ``again``: for the second time after the same update.
 
-        The best of many measurements on the same starts is partly luck, the more of them the more.
+        The best of many measurements on the same starts is partly luck, the more of them the more; so starts that were asked once have
+        taken part in the choice.
         """
-        return self.sampler.success(branch, player, alpha, wanted, episodes, floor=0.0, choice=branch.updates)
+        return self.sampler.success(branch, player, alpha, wanted, episodes, floor=0.0, choice=-branch.updates if again else branch.updates)
 
     def leave(self, branch: Branch, success: float) -> Outcome:
         """After all turns on a target, where its best policy was measured anew to have that ``success``.
