@@ -20,13 +20,16 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from grippers.gripper import DIGITS, THUMB
 from robots.model_robot import Family, ModelRobot
 
-FINGERS = ("ff", "mf", "rf", "lf")
-"""Index, middle, ring and little finger; "th" is the thumb."""
+FINGERS = {digit.name.lower(): digit for digit in DIGITS if digit is not THUMB}
+"""What the names of a finger's bodies begin with -> the finger, index to little."""
 LINKS = ("proximal", "middle", "distal")
 ROD_RADIUS = 0.007
 """[m] of every link that stays: that of the fingertips of ADROIT, which are as thin already."""
+THUMB_SWINGS = "THJ3"
+"""The one joint that the thumb keeps: across the palm, towards the fingers."""
 THUMB_SHORTER = 0.88
 """Length of the thumb's links on the targets, of its own."""
 SWING = (np.pi / 4, 3 * np.pi / 4)
@@ -87,7 +90,6 @@ def _tilt(body: mujoco.MjsBody, angle: float) -> None:
 
 def _vanish(spec: mujoco.MjSpec, finger: str) -> None:
     """Shrink a finger to nothing, inside the palm."""
-    letters = finger.upper()
     for link in LINKS:
         _shorten(spec.body(finger + link), 0.0)
         _thin(spec.body(finger + link), NOTHING)
@@ -95,16 +97,16 @@ def _vanish(spec: mujoco.MjSpec, finger: str) -> None:
         body = spec.body(finger + part)
         body.mass, body.inertia = body.mass * REMNANT, body.inertia * REMNANT
     spec.body(f"{finger}knuckle").pos = DRAWN_BACK[finger]
-    _freeze(spec, [f"{letters}J{k}" for k in (3, 2, 1, 0)])
+    _freeze(spec, FINGERS[finger].joints)
 
 
 def _stay(spec: mujoco.MjSpec, finger: str) -> None:
     """Make a finger a straight rod that only swings."""
-    letters = finger.upper()
+    digit = FINGERS[finger]
     for link in LINKS:
         _thin(spec.body(finger + link), ROD_RADIUS)
-    _freeze(spec, [f"{letters}J{k}" for k in (3, 1, 0)])
-    _swing(spec, f"{letters}J2")
+    _freeze(spec, [joint for joint in digit.joints if joint != digit.flexion])
+    _swing(spec, digit.flexion)
     if finger in KNUCKLES:
         spec.body(f"{finger}knuckle").pos = KNUCKLES[finger]
 
@@ -115,8 +117,8 @@ def _simplify_thumb(spec: mujoco.MjSpec) -> None:
     for link in LINKS:
         _shorten(spec.body(f"th{link}"), THUMB_SHORTER)
         _thin(spec.body(f"th{link}"), ROD_RADIUS)
-    _freeze(spec, ["THJ4", "THJ2", "THJ1", "THJ0"])
-    _swing(spec, "THJ3")
+    _freeze(spec, [joint for joint in THUMB.joints if joint != THUMB_SWINGS])
+    _swing(spec, THUMB_SWINGS)
 
 
 def _narrow_palm(spec: mujoco.MjSpec) -> None:
@@ -154,8 +156,8 @@ def become(spec: mujoco.MjSpec, fingers: tuple[str, ...]) -> None:
 
 
 def _part(body: str) -> tuple[str, str]:
-    """A body's finger ("" if it belongs to none) and the rest of its name."""
-    finger = body[:2] if body[:2] in (*FINGERS, "th") else ""
+    """What the names of a finger's or the thumb's bodies begin with ("" if the body belongs to none), and the rest of its name."""
+    finger = next((name for digit in DIGITS if body.startswith(name := digit.name.lower())), "")
     return finger, body[len(finger) :]
 
 

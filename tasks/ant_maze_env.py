@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.envs.mujoco.ant_v5 import AntEnv
 
 from robots.model_robot import ModelRobot
-from tasks.ant_maze import AntMaze
+from tasks.task import ModelTask
 
 
 class AntMazeEnv(AntEnv):
@@ -22,7 +22,7 @@ class AntMazeEnv(AntEnv):
         scene: where the ant is (tasks/task.py, Scene).
     """
 
-    def __init__(self, task: AntMaze, robot: ModelRobot, **options: Any) -> None:
+    def __init__(self, task: ModelTask, robot: ModelRobot, **options: Any) -> None:
         self.task, self.robot = task, robot
         super().__init__(
             frame_skip=task.substeps,

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import types
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -58,38 +59,34 @@ def pair(task):
     return Lab(ROBOTS["adroit"], [ROBOTS["kinova3"]], task)
 
 
+def loader(make):
+    """name -> what ``make`` makes of the robot of that name, once; its episode begun."""
+    from robots import ROBOTS
+
+    made = cache(lambda name: make(ROBOTS[name]))
+
+    def load(name):
+        robot = made(name)
+        robot.begin(0)
+        return robot
+
+    return load
+
+
 @pytest.fixture(scope="session")
 def native(task):
     """name -> the unmodified robosuite robot in its own environment; whoever uses it begins an episode of its own."""
-    from robots import ROBOTS
     from toolkit.simulation.native import NativeRobot
 
-    loaded = {}
-
-    def load(name):
-        if name not in loaded:
-            loaded[name] = NativeRobot(ROBOTS[name], task)
-        loaded[name].begin(0)
-        return loaded[name]
-
-    return load
+    return loader(lambda robot: NativeRobot(robot, task))
 
 
 @pytest.fixture(scope="session")
 def native_fast(task):
     """name -> the unmodified robosuite robot under the compiled control step."""
-    from robots import ROBOTS
     from toolkit.simulation.laws import native_plant
 
-    loaded = {}
-
-    def load(name):
-        if name not in loaded:
-            loaded[name] = native_plant(ROBOTS[name], task)
-        loaded[name].begin(0)
-        return loaded[name]
-
-    return load
+    return loader(lambda robot: native_plant(robot, task))
 
 
 @pytest.fixture(scope="session")

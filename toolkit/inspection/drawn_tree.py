@@ -5,12 +5,15 @@ from typing import Any
 
 import numpy as np
 
+from grippers.gripper import DIGITS
 from toolkit.morphology.parameters import ParameterSpace
 
 ON_THE_WAY = 1e-3
 """Detour, in L1, of a robot that is still on its edge."""
 WIDTH, ROW = 1000.0, 190.0
 """Drawing units of the tree: its longest way, and the distance of its rows."""
+DIGIT = {name: row for row, digit in enumerate(DIGITS) for name in (digit.name, *digit.chain, digit.knuckle)}
+"""Element of the evolution space that belongs to a digit -> which of them, index to thumb."""
 
 
 class Plan:
@@ -137,9 +140,15 @@ def matrix(space: ParameterSpace) -> tuple[np.ndarray, list[str], dict[str, floa
         first.setdefault(parameter.dimension, parameter.name)
     split = [first[k].partition(".") for k in range(space.size)]
     items, parts = [item for item, _, _ in split], [quantity or item for item, _, quantity in split]
-    rows = sorted(dict.fromkeys(items), key=lambda item: (not item.startswith("arm"), "/" in item, item[:2] if item[:3] != "arm" else item))
+    rows = sorted(dict.fromkeys(items), key=_row)
     quantities = list(dict.fromkeys(part.split(".")[0] for part in parts))
     columns = sorted(dict.fromkeys(parts), key=lambda part: (quantities.index(part.split(".")[0]), part))
     places = np.array([(columns.index(part), rows.index(item)) for item, part in zip(items, parts, strict=True)], float)
     heads = [column.split(".")[0] for column in columns]
     return places, rows, {name: float(np.mean([k for k, head in enumerate(heads) if head == name])) for name in quantities}
+
+
+def _row(item: str) -> tuple[bool, bool, str, int]:
+    """Where an element's row stands: the arm from base to flange, then digit by digit, each time shapes after joints; then all others."""
+    arm = item.startswith("arm")
+    return not arm, "/" in item, item if arm else "", DIGIT.get(item.partition("/")[0], len(DIGITS))

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -88,18 +89,8 @@ def role_joints(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
     Raises:
         ToolkitError: the gripper's model has no joint of the declared name.
     """
-    out = {}
-    for role, name in robot.gripper.joints.items():
-        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, GRIPPER_PREFIX + name)
-        if joint < 0:
-            known = [model.joint(j).name.removeprefix(GRIPPER_PREFIX) for j in range(model.njnt)
-                     if model.joint(j).name.startswith(GRIPPER_PREFIX)]
-            raise ToolkitError(
-                f"gripper {robot.gripper.name}: role {role} names joint {name!r}, which its model lacks; "
-                f"it has {', '.join(known)}"
-            )
-        out[role] = joint
-    return out
+    known = {name: j for j in range(model.njnt) if (name := _gripper_name(model.joint(j).name))}
+    return _declared(robot, robot.gripper.joints, known, "names joint", "lacks")
 
 
 def welded_bodies(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
@@ -108,18 +99,22 @@ def welded_bodies(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:
     Raises:
         ToolkitError: the gripper's model has no body of the declared name, or the body has a joint.
     """
-    out = {}
-    for role, name in robot.gripper.welded.items():
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, GRIPPER_PREFIX + name)
-        if body < 0 or model.body_jntnum[body]:
-            known = [model.body(b).name.removeprefix(GRIPPER_PREFIX) for b in range(model.nbody)
-                     if model.body(b).name.startswith(GRIPPER_PREFIX) and not model.body_jntnum[b]]
-            raise ToolkitError(
-                f"gripper {robot.gripper.name}: role {role} is welded to body {name!r}, which its model has not without "
-                f"joints; it has {', '.join(known)}"
-            )
-        out[role] = body
-    return out
+    known = {name: b for b in range(model.nbody) if not model.body_jntnum[b] and (name := _gripper_name(model.body(b).name))}
+    return _declared(robot, robot.gripper.welded, known, "is welded to body", "has not without joints")
+
+
+def _gripper_name(name: str) -> str:
+    """What the gripper's own model calls a part; empty for parts of anything else."""
+    return name.removeprefix(GRIPPER_PREFIX) if name.startswith(GRIPPER_PREFIX) else ""
+
+
+def _declared(robot: Robot, roles: Mapping[str, str], known: Mapping[str, int], says: str, lacks: str) -> dict[str, int]:
+    """Role -> id, of the parts that a card names for ``roles`` among those ``known`` to the gripper's model."""
+    for role, name in roles.items():
+        if name not in known:
+            raise ToolkitError(f"gripper {robot.gripper.name}: role {role} {says} {name!r}, which its model {lacks}; "
+                               f"it has {', '.join(known)}")
+    return {role: known[name] for role, name in roles.items()}
 
 
 def role_actuators(model: mujoco.MjModel, robot: Robot) -> dict[str, int]:

@@ -136,7 +136,9 @@ class Transfer:
             return self.evolve(branch, step)
         if branch.alone:
             return self.reach(branch)
-        return [branch] if step.reached and self.train_shared(branch) == "training" else self.split(branch, step)
+        # A target from which others go on is trained to its goal first (line 8): all behind it have the use of that.
+        training = bool(step.reached) and self.train_to_goal(branch, self.players.engine) == "training"
+        return [branch] if training else self.split(branch, step)
 
     def evolve(self, branch: Branch, step: MetaStep) -> list[Branch]:
         """Lines 4 and 5, towards the meta robot: choose the next robot, then train until the policy holds on it, and go there.
@@ -169,10 +171,6 @@ class Transfer:
         elif outcome == "stalled":
             self.stride.try_nearer(branch)
 
-    def train_shared(self, branch: Branch) -> Outcome:
-        """Line 8 where others go on from a target: one update towards its goal, of which all behind it have the use."""
-        return self.training.train_to(branch, self.players.engine, branch.alpha, self.config.goal, self.config.goal_episodes)
-
     def split(self, branch: Branch, step: MetaStep) -> list[Branch]:
         """Lines 10 to 12: one branch per subtree; targets reached get their own."""
         if self.race is not None:
@@ -198,7 +196,7 @@ class Transfer:
         return [branch] if self.train_to_goal(branch, self.players.native(branch)) == "training" else self.finish(branch)
 
     def train_to_goal(self, branch: Branch, player: Player) -> Outcome:
-        """One update towards the goal at the branch's only target."""
+        """One update towards the goal at the target that the branch has reached."""
         return self.training.train_to(branch, player, self.way.goal(branch), self.config.goal, self.config.goal_episodes)
 
     def finish(self, branch: Branch) -> list[Branch]:

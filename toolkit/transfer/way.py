@@ -32,8 +32,8 @@ class Way:
         self.goals = {target.name: target.alpha for target in targets}
 
     def goal(self, branch: Branch) -> np.ndarray:
-        """The branch's only target (D,)."""
-        return self.goals[branch.targets[0]]
+        """The branch's only target (D,); of a branch to several, the one on which it stands."""
+        return self.goals[branch.targets[0]] if branch.alone else branch.alpha
 
     def evolution_tree(self, branch: Branch) -> MetaStep:
         """Algorithm 2 from the current robot."""
