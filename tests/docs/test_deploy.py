@@ -98,7 +98,7 @@ def test_a_log_becomes_curves(tmp_path):
         done.times |= {"read": 0.001, "send": 0.002}
         fault = Fault("driver", "the state could not be read")
         done.fault = fault if number == 3 else None
-        log.tick(0, number, fault if number == 3 else state, done, done.command, late=number == 4)
+        log.tick(0, number, fault if number == 3 else state, done, done.command, late=number == 4, now=0.05 * number)
     log.note(0, "stop", "driver: gone")
     log.close()
     with (tmp_path / "log.jsonl").open("a") as file:

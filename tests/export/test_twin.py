@@ -8,6 +8,7 @@ import sys
 import time
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -121,6 +122,46 @@ def test_only_by_the_clock_can_a_state_be_stale(bundle):
         outcomes[pace] = outcome.stopped, arm.stopped, outcome.success
     assert outcomes["real"][0].startswith("stale_state") and outcomes["real"][0] == outcomes["real"][1]
     assert outcomes["lockstep"] == ("", "", True)
+
+
+def test_a_twin_that_woke_late_tells_what_is_and_obeys_from_when_it_is_told(twin, task, monkeypatch):
+    """By the clock, and not run for a while, it is where one that waits for its commands is after the same time; both by two commands."""
+    now = [100.0]
+    monkeypatch.setattr("toolkit.export.twin.time", SimpleNamespace(monotonic=lambda: now[0]))
+    late, orders = Twin(ROBOTS["kinova3"], task, "real"), [osc([0, 0, 1.0, 0, 0, 0]), osc([0, 1.0, 0, 0, 0, 0])]
+    for one in (late, twin):
+        one.begin(10**9)
+        one.send(orders[0])
+    now[0] += 0.1501
+    twin.wait(0.1)
+    assert late.read()["joints"] == twin.read()["joints"] and late.time == pytest.approx(0.15), "nothing was played in between"
+    now[0] += 0.05
+    late.send(orders[1])
+    twin.wait(0.05)
+    twin.send(orders[1])
+    now[0] += 0.05
+    assert late.read()["joints"] == twin.read()["joints"]
+    with pytest.raises(ToolkitError, match="follows the clock"):
+        late.wait(0.1)
+    with pytest.raises(ToolkitError, match="waits from 0 to 10 s"):
+        twin.wait(-1.0)
+
+
+def test_a_drivers_clock_is_its_twins(served):
+    """A twin in lockstep has a time of its own, by which it stamps: a period per command, and what its runtime sleeps."""
+    driver = SimDriver("127.0.0.1", served())
+    driver.connect()
+    driver.begin(10**9)
+    driver.sleep(0.3)
+    before = driver.read()
+    assert driver.now() == before.stamp == pytest.approx(0.3) and not before.speeds.any(), "an arm without a command waits"
+    for _ in range(2):
+        driver.send(osc([0, 0, 1.0, 0, 0, 0]))
+    moving = driver.read()
+    assert driver.now() == moving.stamp == pytest.approx(0.4) and np.abs(moving.speeds).max() > 0.1
+    driver.sleep(0.5)
+    assert np.abs(driver.read().speeds).max() < 0.05 and driver.now() == pytest.approx(0.9), "held by its own watchdog"
+    driver.leave()
 
 
 def test_a_stopped_twin_takes_no_commands(bundle, served):
@@ -257,7 +298,7 @@ def test_ticks_leave_nothing_behind(bundle, form, tmp_path):
         for i, tick in enumerate(itertools.islice(ticks, count)):
             done = tick()
             done.times |= {"read": 0.0, "send": 0.0}
-            log.tick(0, i, state, done, done.command, False)
+            log.tick(0, i, state, done, done.command, False, 0.05 * i)
 
     some(200)
     tracemalloc.start()

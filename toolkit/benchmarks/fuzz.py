@@ -469,7 +469,7 @@ def _log(folder: Path, bundle: Path) -> Sample:
                       g["episode_goal"])
         tick = turn()
         tick.times |= {"read": 0.0, "send": 0.0}
-        log.tick(0, number, state, tick, tick.command, False)
+        log.tick(0, number, state, tick, tick.command, False, number / whole.manifest.policy_hz)
     log.note(0, "stop", "the end")
     log.close()
     return Sample(file, (rot, reword, lines(retype), lines(retype)), read_log)

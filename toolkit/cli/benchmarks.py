@@ -18,7 +18,7 @@ from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.deploy.arm import ArmInfo
-    from toolkit.deploy.faults import Begun, Harm
+    from toolkit.deploy.faults import Begun
     from toolkit.transfer.pipeline import Job
 
 bench = tyro.extras.SubcommandApp()
@@ -533,22 +533,19 @@ def bench_faults(
             unmet = sum(not trial.met for trial in found)
             progress.show(f"{loaded.manifest.robot.name} {trial.form}", f"{unmet} unmet, last: {trial.fault}", len(found))
 
-        def play(arm: "Begun", info: "ArmInfo", chosen: "tuple[Harm, ...]") -> None:
+        def play(arm: "Begun", info: "ArmInfo") -> None:
             for each in forms:
-                for trial in trials(loaded, arm, info, each, chosen):
+                for trial in trials(loaded, arm, info, each, harms):
                     met(trial)
 
         if driver != "sim":
             with mocked(loaded, driver) as arm:
-                play(arm, arm.connect(), harms)
-        for pace in ("lockstep", "real") if driver == "sim" else ():  # a clock would find a twin that waits for commands late
-            chosen = tuple(harm for harm in harms if harm.real == (pace == "real"))
-            if not chosen:
-                continue
-            twin, port = start_twin(bundle, pace)
+                play(arm, arm.connect())
+        elif harms:
+            twin, port = start_twin(bundle, "lockstep")  # whose own time no busy machine delays
             simulated = SimDriver("127.0.0.1", port)
             try:
-                play(simulated, simulated.connect(), chosen)
+                play(simulated, simulated.connect())
             finally:
                 simulated.close()
                 twin.terminate()

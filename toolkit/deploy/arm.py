@@ -1,5 +1,6 @@
 """What the runtime and an arm say to each other: State, Command, ArmInfo, Driver. SI units; quaternions w first."""
 
+import time
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -94,6 +95,31 @@ class ArmInfo:
     length_unit: str = "m"
     frame: str = "task"
     model_sha256: str = ""
+
+
+class Clock(Protocol):
+    """The time in which an arm lives: of stamps, of ticks, and of whoever sleeps."""
+
+    def now(self) -> float:
+        """[s] since whenever."""
+
+    def sleep(self, seconds: float) -> None:
+        """Return when so much time has passed."""
+
+
+class WallClock:
+    """This machine's, which a real arm shares."""
+
+    def now(self) -> float:
+        """See Clock."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """See Clock."""
+        time.sleep(seconds)
+
+
+WALL = WallClock()
 
 
 class Driver(Protocol):

@@ -25,7 +25,7 @@ import numpy as np
 from toolkit.bundle.manifest import Manifest
 from toolkit.bundle.reading import Bundle
 from toolkit.deploy import wire
-from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
+from toolkit.deploy.arm import ArmInfo, Clock, Command, Driver, Form, State
 from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.mocks import MockedDriver, Trouble, Vendor
@@ -46,8 +46,8 @@ TRIES = 3
 """Of a fault that needs a clock, where this machine itself comes too late."""
 
 
-class Begun(Driver, Protocol):
-    """A driver of a simulated arm, which can be put at a start."""
+class Begun(Driver, Clock, Protocol):
+    """A driver of a simulated arm, which can be put at a start, and the clock by which that arm lives."""
 
     def begin(self, seed: int) -> None:
         """Put arm, gripper and object at the start that a seed determines."""
@@ -65,7 +65,6 @@ class Harm:
         command: (commands so far) -> what is really sent.
         sleep: [s] that the policy's side does nothing, once.
         lasting: ticks; afterwards all is well again.
-        real: whether it needs a clock.
         allowed: ticks that a limit of the manifest allows it on top.
         prompt: whether it must be seen within TICKS and WAY; a camera without noise that dies is as good as one that lives until the
             object must have moved.
@@ -82,7 +81,6 @@ class Harm:
     command: Callable[[list[Command]], Command] | None = None
     sleep: float = 0.0
     lasting: int = 10**6
-    real: bool = False
     allowed: int = 0
     prompt: bool = True
     before: Callable[[list[State], np.random.Generator], State] | None = None
@@ -175,7 +173,7 @@ _STATE = (
     Harm("whole state frozen while lifting", "state", "stop", "lifting", state=_frozen),
     Harm("frozen but for encoder noise", "state", "stop", state=_frozen_noisy),
     Harm("joints frozen, camera alive", "state", "stop", state=lambda s, r: _first(s, "joints", "speeds")),
-    Harm("nothing new comes, nor a stamp", "state", "stop", state=lambda s, r: s[0], real=True, allowed=1),
+    Harm("nothing new comes, nor a stamp", "state", "stop", state=lambda s, r: s[0], allowed=1),
     Harm("state twice, then alive", "state", "pass", state=_frozen, lasting=2),
     Harm("camera without noise frozen from the start", "state", "stop", "start", state=_blind, prompt=False),
     Harm("camera without noise frozen while lifting", "state", "stop", "lifting", state=_blind, prompt=False),
@@ -203,10 +201,10 @@ _STATE = (
     Harm("states two ticks late", "state", "play", "start", state=_delayed(2), late=2),
 )
 _STAMP = (
-    Harm("stamp a second old", "stamp", "stop", state=_change(stamp=lambda s: s.stamp - 1.0), real=True),
-    Harm("stamp a second ahead", "stamp", "stop", state=_change(stamp=lambda s: s.stamp + 1.0), real=True),
-    Harm("stamp stands still", "stamp", "stop", state=lambda s, r: _first(s, "stamp"), real=True, allowed=1),
-    Harm("one state 0.3 s old", "stamp", "pass", state=_change(stamp=lambda s: s.stamp - 0.3), lasting=1, real=True),
+    Harm("stamp a second old", "stamp", "stop", state=_change(stamp=lambda s: s.stamp - 1.0)),
+    Harm("stamp a second ahead", "stamp", "stop", state=_change(stamp=lambda s: s.stamp + 1.0)),
+    Harm("stamp stands still", "stamp", "stop", state=lambda s, r: _first(s, "stamp"), allowed=1),
+    Harm("one state 0.3 s old", "stamp", "pass", state=_change(stamp=lambda s: s.stamp - 0.3), lasting=1),
 )
 _START = (
     Harm("object 5 cm off", "start", "refuse", "start", state=_change(object_position=lambda s: s.object_position + [0.05, 0, 0])),
@@ -236,8 +234,8 @@ _ORDER = (
     Harm("orders two ticks late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 3)], late=2),
 )
 _PROCESS = (
-    Harm("policy asleep for 0.5 s", "process", "pass", sleep=0.5, lasting=1, real=True),
-    Harm("policy asleep for 1.5 s", "process", "stop", sleep=1.5, lasting=1, real=True),
+    Harm("policy asleep for 0.5 s", "process", "pass", sleep=0.5, lasting=1),
+    Harm("policy asleep for 1.5 s", "process", "stop", sleep=1.5, lasting=1),
 )
 HARMS = (*_STATE, *_STAMP, *_START, *_ORDER, *_PROCESS)
 VENDOR_HARMS = (
@@ -269,7 +267,7 @@ class Injector:
         held: whether the command of each tick was to hold.
     """
 
-    def __init__(self, driver: Driver, harm: Harm | None, onset: int, place: Callable[[State], np.ndarray], seed: int = 0) -> None:
+    def __init__(self, driver: Begun, harm: Harm | None, onset: int, place: Callable[[State], np.ndarray], seed: int = 0) -> None:
         self.driver, self.harm, self.onset, self._place = driver, harm, onset, place
         self.truths: list[np.ndarray] = []
         self.apart: list[float] = []
@@ -309,7 +307,7 @@ class Injector:
             return told
         if self.harm.sleep and not self._slept:
             self._slept = True
-            time.sleep(self.harm.sleep)
+            self.driver.sleep(self.harm.sleep)
         if self.harm.state is None:
             return truth
         self._states.append(truth)
@@ -364,7 +362,7 @@ def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, 
     for _ in range(TRIES):
         driver.begin(seed)
         injector = Injector(driver, harm, onset, place)
-        outcome = play(runtime, injector, TickLog(None, {}), "real" if harm.real or isinstance(driver, MockedDriver) else "lockstep")
+        outcome = play(runtime, injector, TickLog(None, {}), clock=driver)
         found = _judged(injector, outcome, form, bundle.manifest)
         if found.met or not outcome.stopped.startswith("late_ticks"):  # a busy machine's lateness is not the fault's
             break

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from toolkit.bundle.reading import Bundle
-from toolkit.deploy.arm import ArmInfo, Command, Driver, Form, State
+from toolkit.deploy.arm import WALL, ArmInfo, Command, Driver, Form, State
 from toolkit.deploy.drivers import franka, kortex, ros2, ur
 from toolkit.deploy.drivers.franka import Franka
 from toolkit.deploy.drivers.kortex import Kortex
@@ -506,6 +506,7 @@ class MockedDriver:
         self.modules = self.vendor.package(self.arm)
         self._driver: Driver | None = None
         self._close: Callable[[], None] = lambda: None
+        self.now, self.sleep = WALL.now, WALL.sleep
 
     def connect(self) -> ArmInfo:
         """See Driver."""

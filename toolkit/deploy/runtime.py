@@ -17,7 +17,7 @@ import numpy as np
 
 from tasks.task import Judge
 from toolkit.bundle.reading import Bundle
-from toolkit.deploy.arm import FORMS, ArmInfo, Command, Driver, Form, State, check_fit
+from toolkit.deploy.arm import FORMS, WALL, ArmInfo, Clock, Command, Driver, Form, State, check_fit
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.motion import motion_of
 from toolkit.deploy.observer import Observer
@@ -28,6 +28,8 @@ from toolkit.io.claims import open_claimed
 Pace = Literal["real", "lockstep"]
 STAGES = ("read", "observe", "policy", "command", "send")
 """Parts of a tick that the log times [ms]; the runtime's own are all but read and send, which wait for the arm."""
+PUNCTUAL = 1e-6
+"""[s] by which a tick that ends with its period may end after it: a rounding of clocks that count steps."""
 
 
 def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
@@ -198,7 +200,9 @@ class Outcome:
     tick_ms: list[float] = field(default_factory=list)
 
 
-def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", episode: int = 0) -> Outcome:
+def play(
+    runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", episode: int = 0, clock: Clock = WALL
+) -> Outcome:
     """One episode, from the start check to success, a stop, or the horizon.
 
     Args:
@@ -208,34 +212,36 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
         pace: "real": a tick starts every policy period by the clock; "lockstep": as soon as the last one has ended, for a
             simulation that waits, whose states are therefore never stale and whose episodes repeat exactly.
         episode: number for the log.
+        clock: by which the arm's states are stamped and, at a "real" pace, ticks begin.
     """
     outcome = Outcome()
     first = _read(driver)
-    fault = first if isinstance(first, Fault) else runtime.begin(*_timed(first, pace, 0.0))
+    fault = first if isinstance(first, Fault) else runtime.begin(*_timed(first, pace, 0.0, clock))
     if fault is not None:
         outcome.stopped, outcome.faults = f"{fault.kind}: {fault.detail}", Counter([fault.kind])
         driver.stop(outcome.stopped)
         log.note(episode, "stop", outcome.stopped)
         return outcome
-    due, late, overdue = time.monotonic(), False, 0.0
+    due, late, overdue = clock.now(), False, 0.0
     try:
         for number in range(runtime.manifest.task.horizon_steps + runtime.manifest.watch.hold_ticks):
             began = time.perf_counter()
             if pace == "real":
-                overdue = max(overdue, time.monotonic() - due)
+                overdue = max(overdue, clock.now() - due)
             state = _read(driver)
             read = time.perf_counter() - began
-            tick = runtime.tick(*_timed(state, pace, number * runtime.period), late, overdue)
-            if pace == "real" and (slept := time.monotonic() - due - runtime.period) > OVERDUE:
+            seen, now = _timed(state, pace, number * runtime.period, clock)
+            tick = runtime.tick(seen, now, late, overdue)
+            if pace == "real" and (slept := clock.now() - due - runtime.period) > OVERDUE:
                 tick = runtime.overslept(tick, slept)
             sending = time.perf_counter()
             sent = _send(driver, tick.command)
             tick.times |= {"read": read, "send": time.perf_counter() - sending}
             due += runtime.period
-            overdue = max(0.0, time.monotonic() - due) if pace == "real" else 0.0
-            late = overdue > 0.0
+            overdue = max(0.0, clock.now() - due) if pace == "real" else 0.0
+            late = overdue > PUNCTUAL
             _count(outcome, tick, late)
-            log.tick(episode, number, state, tick, sent, late)
+            log.tick(episode, number, seen, tick, sent, late, now)
             if isinstance(sent, Fault):
                 outcome.stopped = f"{sent.kind}: {sent.detail}"
             elif tick.stop:
@@ -245,9 +251,9 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
             if outcome.stopped or outcome.success:
                 break
             if late:
-                due = time.monotonic()  # what was missed is not made up in a hurry
+                due = clock.now()  # what was missed is not made up in a hurry
             elif pace == "real":
-                time.sleep(max(0.0, due - time.monotonic()))
+                clock.sleep(max(0.0, due - clock.now()))
     except BaseException:
         driver.stop("interrupted")
         raise
@@ -260,10 +266,10 @@ def play(runtime: Runtime, driver: Driver, log: "TickLog", pace: Pace = "real", 
 StateOrFault = TypeVar("StateOrFault", State, State | Fault)
 
 
-def _timed(state: StateOrFault, pace: Pace, due: float) -> tuple[StateOrFault, float]:
+def _timed(state: StateOrFault, pace: Pace, due: float, clock: Clock) -> tuple[StateOrFault, float]:
     """A state and the time; in lockstep on the episode's own clock, in which a tick takes its period however busy this machine is."""
     if pace == "real":
-        return state, time.monotonic()
+        return state, clock.now()
     return (replace(state, stamp=due) if isinstance(state, State) else state), due
 
 
@@ -326,11 +332,13 @@ class TickLog:
             raise ToolkitError(f"the log {path} cannot be written ({error.strerror}); choose another --log") from error
         self._write({"format": LOG_FORMAT, "version": 1, "times": "ms", **about})
 
-    def tick(self, episode: int, number: int, state: State | Fault, tick: Tick, sent: Command | Fault, late: bool) -> None:
-        """A line for one tick."""
+    def tick(
+        self, episode: int, number: int, state: State | Fault, tick: Tick, sent: Command | Fault, late: bool, now: float
+    ) -> None:
+        """A line for one tick, which began at ``now`` [s] on the clock of the state's stamp."""
         if self._file is None:
             return
-        row: dict[str, Any] = {"episode": episode, "tick": number, "t": time.monotonic(), "late": late, "hold": tick.command.hold}
+        row: dict[str, Any] = {"episode": episode, "tick": number, "t": now, "late": late, "hold": tick.command.hold}
         row |= {f"{stage}_ms": round(1e3 * tick.times[stage], 4) for stage in STAGES}
         if isinstance(state, State):
             row |= {"age_ms": _listed([1e3 * (row["t"] - state.stamp)])[0], "joints": _listed(state.joints),

@@ -30,6 +30,8 @@ SERVO_KP = 1600.0
 """Stiffness [1/s^2] of the position servo, critically damped: 40 rad/s, a quarter of what industrial arms reach."""
 WATCHDOG = 4
 """Policy periods without a command after which the twin holds of itself."""
+LONGEST = 10.0
+"""[s] that a twin in lockstep may be told to wait at once."""
 SLICE = 5
 """Substeps that are played before the socket is looked at again."""
 
@@ -83,8 +85,14 @@ class Twin:
         """As the task judges."""
         return "success" if self.env.succeeded else "lost" if self.env.lost else "running"
 
+    @property
+    def time(self) -> float:
+        """[s] played since the episode began, or waited for its first command."""
+        return self._played * self.model.opt.timestep
+
     def read(self) -> dict[str, Any]:
         """The State, as JSON values."""
+        self._meet_the_clock()
         data = self.data
         mujoco.mj_kinematics(self.model, data)  # after a step, MuJoCo's poses are a substep older than its angles
         found = {
@@ -107,10 +115,23 @@ class Twin:
         if command.target.shape != (size,) or command.rate.shape != (rates,) or not rows:
             raise ToolkitError(f"a {command.form} command for {self.robot.name} has {size} numbers and as many in each waypoint")
         if self._command is None:
-            self._clock, self._played = time.monotonic(), 0
+            self._clock = time.monotonic()
+        self._meet_the_clock()
         self._command, self._fresh, self._since = command, True, 0
         if self.pace == "lockstep":
-            self._play(self.substeps)
+            self._pass(self.substeps)
+
+    def wait(self, seconds: float) -> None:
+        """In lockstep, let time pass without a command, as it does for an arm by the clock.
+
+        Raises:
+            ToolkitError: no such time, or the twin goes by the clock.
+        """
+        if self.pace != "lockstep":
+            raise ToolkitError("this twin follows the clock, and waits for nobody; start it with --pace lockstep")
+        if not 0.0 <= seconds <= LONGEST:
+            raise ToolkitError(f"seconds is {seconds:.3g}; a twin waits from 0 to {LONGEST:.0f} s at once")
+        self._pass(int(round(seconds / self.model.opt.timestep)))
 
     def stop(self, reason: str) -> None:
         """Take no command any more, and stand still."""
@@ -120,14 +141,29 @@ class Twin:
         """Play what the clock asks for, a slice at most; returns how long [s] there is nothing to do."""
         if self._command is None or self.pace == "lockstep":
             return 0.05
-        step = self.model.opt.timestep
-        owed = int((time.monotonic() - self._clock) / step) - self._played
+        step, owed = self.model.opt.timestep, self._owed()
         if owed > 0:
             self.behind = max(self.behind, owed * step)
-            self._play(min(owed, SLICE))
-            self._played += min(owed, SLICE)
+            self._pass(min(owed, SLICE))
             return 0.0
         return max(0.0, self._clock + (self._played + 1) * step - time.monotonic())
+
+    def _owed(self) -> int:
+        """Substeps by which the clock is ahead."""
+        return int((time.monotonic() - self._clock) / self.model.opt.timestep) - self._played
+
+    def _meet_the_clock(self) -> None:
+        """Play all that the clock asks for by now. A process that woke late would else tell an old state as a new one, and obey two
+        commands within the time of one."""
+        if self._command is not None and self.pace == "real" and (owed := self._owed()) > 0:
+            self.behind = max(self.behind, owed * self.model.opt.timestep)
+            self._pass(owed)
+
+    def _pass(self, substeps: int) -> None:
+        """Let time pass; before the first command the arm waits for it."""
+        if self._command is not None:
+            self._play(substeps)
+        self._played += substeps
 
     def _play(self, substeps: int) -> None:
         """Play; a simulation that its commands broke is stopped, not the twin."""
@@ -319,13 +355,18 @@ def _reply(twin: Twin, message: dict[str, Any]) -> dict[str, Any]:
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
             raise ToolkitError(f"seed is {str(seed)[:40]!r}; give a whole number from 0 on")
         twin.begin(seed)
+        return {"time": twin.time}
     elif do == "read":
-        return twin.read()
+        return twin.read() | {"time": twin.time}
     elif do == "send":
         content = message.get("command")
         command = wire.command_from_json(content if isinstance(content, dict) else {})
         twin.send(command)
-        return {"sent": wire.command_to_json(command)}
+        return {"sent": wire.command_to_json(command), "time": twin.time}
+    elif do == "wait":
+        seconds = message.get("seconds")
+        twin.wait(float(seconds) if isinstance(seconds, int | float) else -1.0)
+        return {"time": twin.time}
     elif do == "stop":
         twin.stop(str(message.get("reason", ""))[:200])
     elif do == "result":

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.deploy import wire
-from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.arm import WALL, ArmInfo, Command, State
 from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
@@ -16,7 +16,7 @@ PATIENCE = 20.0
 
 
 class SimDriver:
-    """A connection to ``meta-evolve twin``.
+    """A connection to ``meta-evolve twin``; also the clock of its arm: a twin in lockstep has a time of its own.
 
     Args:
         host, port: where it listens.
@@ -32,7 +32,18 @@ class SimDriver:
         self.token = token
         self._line: wire.Line | None = None
         self._asked, self._gone = 0, ""
-        self.pace = ""
+        self.pace, self._time = "", 0.0
+
+    def now(self) -> float:
+        """See Clock: what a twin in lockstep has played since its episode began."""
+        return self._time if self.pace == "lockstep" else WALL.now()
+
+    def sleep(self, seconds: float) -> None:
+        """See Clock. A twin in lockstep plays on as one whose runtime sleeps."""
+        if self.pace != "lockstep":
+            WALL.sleep(seconds)
+        else:
+            self._ask({"do": "wait", "seconds": seconds})
 
     @property
     def where(self) -> str:
@@ -74,7 +85,7 @@ class SimDriver:
 
     def read(self) -> State:
         """See Driver. The stamp is when the question was asked, so that the way of the answer counts as age."""
-        asked = time.monotonic()
+        asked = self.now()
         found = self._ask({"do": "read"})
         try:
             arrays = {key: np.array(found[key], float) for key in ("joints", "fingers", "speeds", "efforts", "object_position",
@@ -138,6 +149,10 @@ class SimDriver:
             raise ToolkitError(self._gone) from None
         if "error" in answer:
             raise ToolkitError(f"the twin refuses: {answer['error']}")
+        try:
+            self._time = float(answer.pop("time", self._time))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self._odd(error) from None
         return answer
 
     def _odd(self, error: Exception) -> ToolkitError:
