@@ -2,6 +2,7 @@
 
 import json
 import sys
+import threading
 import time
 
 import numpy as np
@@ -13,7 +14,7 @@ from toolkit.deploy.arm import Command
 from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.faults import COMPLAINT, VENDOR_HARMS, harms_for, trials
 from toolkit.deploy.kinematics import Kinematics
-from toolkit.deploy.mocks import VENDORS, mocked
+from toolkit.deploy.mocks import VENDORS, SimulatedClock, mocked
 from toolkit.runs.seeds import EVALUATION_SEEDS
 
 PLAYED = ("nothing", "nothing new comes, nor a stamp", "frozen but for encoder noise", "joints in degrees", "a joint missing",
@@ -49,8 +50,48 @@ def test_poses_arrive_in_the_vendors_own_frame_and_order(bundle, name):
     assert [trial.outcome for trial in found] == ["success"]
 
 
+@pytest.mark.parametrize("name, harm", [("ur", "policy asleep for 0.5 s"), ("kortex", "policy asleep for 0.5 s"),
+                                        ("franka", "one state 0.3 s old"), ("ros2", "one state 0.3 s old")])
+def test_a_busy_machine_changes_no_trial(bundle, name, harm, monkeypatch):
+    """Cameras that take 30 ms of this machine's time to read: by its clock the ticks would be late, and the threads out of step."""
+    found = []
+    for spent in (0.0, 0.03):
+        with mocked(bundle, name) as driver:
+            seen = driver.arm.seen
+            monkeypatch.setattr(driver.arm, "seen", lambda seen=seen, spent=spent: (time.sleep(spent), seen())[1])
+            chosen = tuple(each for each in harms_for(driver.vendor) if each.name == harm)
+            found += trials(bundle, driver, driver.connect(), "joint", chosen)
+    assert found[0] == found[1] and found[0].met and found[0].seen in ("late_ticks", "stale_state"), found
+
+
+def test_a_simulated_clock_wakes_sleepers_in_order_and_waits_for_who_is_awake():
+    clock, woke = SimulatedClock(), []
+
+    def sleeper(name, seconds, times):
+        for _ in range(times):
+            clock.sleep(seconds)
+            time.sleep(0.005)
+            woke.append((name, round(clock.now(), 6)))
+
+    threads = [threading.Thread(target=sleeper, args=args, daemon=True) for args in (("slow", 0.3, 2), ("quick", 0.2, 2))]
+    for count, thread in enumerate(threads, 1):
+        thread.start()
+        clock.meet(count)
+    assert not woke and clock.now() == 0.0, "whoever made it is awake"
+    clock.sleep(0.45)
+    assert woke == [("quick", 0.2), ("slow", 0.3), ("quick", 0.4)] and clock.now() == 0.45
+    clock.sleep(1.0)
+    assert woke[3:] == [("slow", 0.6)] and clock.now() == 1.45, "who has ended keeps nobody waiting"
+    late = threading.Thread(target=sleeper, args=("late", 9.0, 1), daemon=True)
+    late.start()
+    clock.meet(1)
+    with clock.released():
+        late.join()
+    assert woke[4:] == [("late", 1.45)], "nobody sleeps while others wait for the end of threads, and no time passes"
+
+
 def test_a_driver_that_stamps_when_it_is_asked_is_caught(bundle, monkeypatch):
-    monkeypatch.setattr(DeviceClock, "__call__", lambda self, seconds: time.monotonic())
+    monkeypatch.setattr(DeviceClock, "__call__", lambda self, seconds: self._now())
     with mocked(bundle, "ur") as driver:
         harms = tuple(harm for harm in harms_for(driver.vendor) if harm.name == "stamp a second old")
         found = list(trials(bundle, driver, driver.connect(), "joint", harms))
@@ -88,21 +129,21 @@ def test_the_arm_carries_what_it_has_closed_on_and_nothing_else(bundle):
         before = arm.state().object_position
         arm.grip(0.0)
         arm.aim(np.array(manifest.start.arm_rad) + 0.2)
-        time.sleep(0.3)
+        driver.sleep(0.3)
         assert np.array_equal(arm.state().object_position, before), "closed away from it"
         arm.begin(EVALUATION_SEEDS)
         start = Kinematics.of(manifest, bundle.mjcf)
         start.place(np.array(manifest.start.arm_rad), bundle.golden["episode_fingers"][0])
         arm.reach(arm.state().object_position, start.rotation)
-        time.sleep(1.5)
+        driver.sleep(1.5)
         arm.grip(0.0)
-        time.sleep(0.8)
+        driver.sleep(0.8)
         assert arm.state().opening > 0.1, "the object is between the jaws"
         arm.reach(before + [0, 0, 0.1], start.rotation)
-        time.sleep(1.0)
+        driver.sleep(1.0)
         assert arm.state().object_position[2] - before[2] == pytest.approx(0.1, abs=0.02)
         arm.grip(1.0)
-        time.sleep(0.7)
+        driver.sleep(0.7)
         assert arm.state().object_position[2] == pytest.approx(before[2])
 
 
@@ -138,7 +179,7 @@ def test_kortex_goes_on_at_its_last_speed_until_its_driver_stops_it(bundle):
         joints = driver.read().joints
         rows = np.linspace(joints, joints + 0.01, 3)[1:]
         driver.send(Command("joint", False, rows[-1], np.full(len(joints), 0.2), 1.0, 1.0, 0.08, rows))
-        time.sleep(0.1)
+        driver.sleep(0.1)
         moving = driver.arm.state().speeds
-        time.sleep(0.4)
+        driver.sleep(0.4)
         assert np.abs(moving).max() > 0.01 and not driver.arm.state().speeds.any()

@@ -42,8 +42,6 @@ AT_TABLE = ("table_clearance", "tracking")
 TICKS, WAY, SHOWING = 3, 0.01, 2
 """Ticks and way [m] within which the arm must be held, and ticks at the speed of the fault's beginning that are added to that way: what
 is not there shows only a tick later, and an order is obeyed in the tick after it."""
-TRIES = 3
-"""Of a fault that needs a clock, where this machine itself comes too late."""
 
 
 class Begun(Driver, Clock, Protocol):
@@ -359,14 +357,10 @@ def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, 
         kinematics.place(runtime.observer.in_order(state.joints), runtime.observer.fingers(state))
         return kinematics.position
 
-    for _ in range(TRIES):
-        driver.begin(seed)
-        injector = Injector(driver, harm, onset, place)
-        outcome = play(runtime, injector, TickLog(None, {}), clock=driver)
-        found = _judged(injector, outcome, form, bundle.manifest)
-        if found.met or not outcome.stopped.startswith("late_ticks"):  # a busy machine's lateness is not the fault's
-            break
-    return found
+    driver.begin(seed)
+    injector = Injector(driver, harm, onset, place)
+    outcome = play(runtime, injector, TickLog(None, {}), clock=driver)
+    return _judged(injector, outcome, form, bundle.manifest)
 
 
 def _judged(injector: Injector, outcome: Outcome, form: Form, manifest: Manifest) -> Trial:

@@ -8,7 +8,6 @@ vendor would tell it: in degrees, on the device's clock, as an exception.
 import math
 import sys
 import threading
-import time
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ import mujoco
 import numpy as np
 
 from toolkit.bundle.reading import Bundle
-from toolkit.deploy.arm import WALL, ArmInfo, Command, Driver, Form, State
+from toolkit.deploy.arm import ArmInfo, Clock, Command, Driver, Form, State
 from toolkit.deploy.drivers import franka, kortex, ros2, ur
 from toolkit.deploy.drivers.franka import Franka
 from toolkit.deploy.drivers.kortex import Kortex
@@ -41,8 +40,66 @@ NEAR, PLAY = 0.05, 0.002
 """[m] of the object's centre from the grasp frame at which the gripper takes it, and [m] by which it may then be wider than the object."""
 NOISE = 1e-3
 """[N m] of the torques' noise, which never rests."""
+ENDED, STARTED = 0.01, 10.0
+"""[s] of this machine's time after which a sleeper looks whether the others still live, and within which a thread must have started."""
 DAMPING, ITERATIONS = 1e-4, 8
 """Of the damped least squares (Wampler 1986) that turn a pose into joint angles."""
+
+
+class SimulatedClock:
+    """A Clock that goes on only while all who take part sleep, and then to where the first of them wakes.
+
+    Threads so wait for each other and not for this machine, whose own lateness is nobody's; one runs at a time, and what they do repeats
+    exactly. The thread that makes it takes part, and whoever sleeps by it.
+    """
+
+    def __init__(self) -> None:
+        self._now, self._turn, self._free = 0.0, threading.Condition(), False
+        self._taking, self._asleep = [threading.current_thread()], dict[threading.Thread, float]()
+
+    def now(self) -> float:
+        """See Clock."""
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        """See Clock."""
+        me = threading.current_thread()
+        with self._turn:
+            if self._free:
+                return
+            if me not in self._taking:
+                self._taking.append(me)
+            self._asleep[me] = self._now + max(0.0, seconds)
+            self._turn.notify_all()
+            while me in self._asleep and not self._free:
+                self._pass_on()
+                if me in self._asleep:
+                    self._turn.wait(ENDED)
+            self._asleep.pop(me, None)
+
+    def _pass_on(self) -> None:
+        """Wake whoever is first, if nobody is awake; of several the one that has taken part the longest."""
+        self._taking = [thread for thread in self._taking if thread.is_alive()]
+        if all(thread in self._asleep for thread in self._taking):
+            first = min(self._taking, key=self._asleep.__getitem__)
+            self._now = max(self._now, self._asleep.pop(first))
+            self._turn.notify_all()
+
+    def meet(self, others: int) -> None:
+        """Wait until so many other threads have begun to take part: one that has only been started would be late for its own time."""
+        with self._turn:
+            self._turn.wait_for(lambda: sum(thread.is_alive() for thread in self._taking) > others, timeout=STARTED)
+
+    @contextmanager
+    def released(self) -> Iterator[None]:
+        """Nobody sleeps meanwhile, and no time passes: for whoever waits that other threads end."""
+        with self._turn:
+            self._free = True
+            self._turn.notify_all()
+        try:
+            yield
+        finally:
+            self._free = False
 
 
 class MockArm:
@@ -51,6 +108,7 @@ class MockArm:
     Args:
         bundle: whose arm, gripper and task it is.
         lag: time constant [s] with which a joint approaches the angle it is sent to.
+        clock: by which it moves.
 
     Attributes:
         trouble: what ails its interface.
@@ -59,8 +117,8 @@ class MockArm:
         ToolkitError: the bundle is too old to say where its episodes start.
     """
 
-    def __init__(self, bundle: Bundle, lag: float) -> None:
-        self.manifest, self.lag = bundle.manifest, lag
+    def __init__(self, bundle: Bundle, lag: float, clock: Clock) -> None:
+        self.manifest, self.lag, self.clock = bundle.manifest, lag, clock
         if self.manifest.simulation is None:
             raise ToolkitError("the bundle's manifest has no simulation.starts (format version 2); export it again")
         self._kinematics, self._solver = (Kinematics.of(bundle.manifest, bundle.mjcf) for _ in range(2))
@@ -85,7 +143,7 @@ class MockArm:
             self._held: tuple[np.ndarray, np.ndarray] | None = None
             self._wanted, self._way = self._opening, _standing(self._joints)
             self._noise, self._told, self.trouble = np.random.default_rng(seed), None, ""
-            self._at = time.monotonic()
+            self._at = self.clock.now()
 
     # -- what an interface makes it do
 
@@ -140,7 +198,7 @@ class MockArm:
 
     def _go(self) -> None:
         """Let what has been asked for come true until now."""
-        now = time.monotonic()
+        now = self.clock.now()
         spent, self._at = now - self._at, now
         if spent <= 0.0:
             return
@@ -189,7 +247,7 @@ class MockArm:
     def seen(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """A scene: what cameras report, stamped now."""
         state = self.report()
-        return state.object_position, state.object_quaternion, state.goal, time.monotonic()
+        return state.object_position, state.object_quaternion, state.goal, self.clock.now()
 
 
 def _standing(place: np.ndarray) -> Callable[[float], np.ndarray]:
@@ -222,10 +280,10 @@ def ur_package(arm: MockArm) -> dict[str, types.ModuleType]:
             pass
 
         def initPeriod(self) -> float:
-            return time.monotonic()
+            return arm.clock.now()
 
         def waitPeriod(self, start: float) -> None:
-            time.sleep(max(0.0, start + self.period - time.monotonic()))
+            arm.clock.sleep(start + self.period - arm.clock.now())
 
         def servoJ(self, q: list[float], speed: float, acceleration: float, time: float, lookahead_time: float, gain: float) -> bool:
             if not arm.trouble:
@@ -451,7 +509,7 @@ def ros2_package(arm: MockArm) -> dict[str, types.ModuleType]:
             heard.clear()
 
     def spin_once(node: Node, timeout_sec: float) -> None:
-        time.sleep(0.01)
+        arm.clock.sleep(0.01)
         speak()
 
     content = {
@@ -474,6 +532,7 @@ class Vendor:
         package: arm -> modules by name.  forms: of command that the driver takes.
         lag: time constant [s] of the arm behind it.
         clock: whether states carry a device's time.  complains: whether the arm itself can report a fault.
+        threads: that the driver, once connected, feeds or hears the arm by.
     """
 
     package: Callable[[MockArm], dict[str, types.ModuleType]]
@@ -481,11 +540,12 @@ class Vendor:
     lag: float
     clock: bool = True
     complains: bool = True
+    threads: int = 1
 
 
 VENDORS: dict[VendorName, Vendor] = {
     "ur": Vendor(ur_package, ("pose", "joint"), ur.LOOKAHEAD / 2),
-    "franka": Vendor(franka_package, ("pose", "joint"), 0.5 / franka.RATE),
+    "franka": Vendor(franka_package, ("pose", "joint"), 0.5 / franka.RATE, threads=0),
     "kortex": Vendor(kortex_package, ("joint",), 0.5 / kortex.RATE, clock=False),
     "ros2": Vendor(ros2_package, ("joint",), 1.0 / ros2.RATE, complains=False),
 }
@@ -493,7 +553,8 @@ VENDORS: dict[VendorName, Vendor] = {
 
 
 class MockedDriver:
-    """A vendor's driver on a mock of its package; a driver of ``toolkit.deploy.faults.Begun``. Works within ``mocked``.
+    """A vendor's driver on a mock of its package; a driver of ``toolkit.deploy.faults.Begun``, with a time of its own. Works within
+    ``mocked``.
 
     Args:
         bundle: whose arm stands there, whoever makes it.
@@ -502,33 +563,36 @@ class MockedDriver:
 
     def __init__(self, bundle: Bundle, name: VendorName) -> None:
         self.vendor, self.name, self._bundle = VENDORS[name], name, bundle
-        self.arm = MockArm(bundle, self.vendor.lag)
+        self.clock = SimulatedClock()
+        self.now, self.sleep = self.clock.now, self.clock.sleep
+        self.arm = MockArm(bundle, self.vendor.lag, self.clock)
         self.modules = self.vendor.package(self.arm)
         self._driver: Driver | None = None
         self._close: Callable[[], None] = lambda: None
-        self.now, self.sleep = WALL.now, WALL.sleep
 
     def connect(self) -> ArmInfo:
         """See Driver."""
         self.stop("connected anew")
         self._driver, self._close = self._make()
-        return self._driver.connect()
+        info = self._driver.connect()
+        self.clock.meet(self.vendor.threads)
+        return info
 
     def _make(self) -> tuple[Driver, Callable[[], None]]:
         arm, manifest = self.arm, self._bundle.manifest
         robot, joints, nothing = manifest.robot.name, [joint.name for joint in manifest.joints], lambda: None
         if self.name == "ur":
             return UniversalRobots("mock", robot, joints, arm.seen, lambda opening, _: arm.grip(opening),
-                                   lambda: arm.report().opening), nothing
+                                   lambda: arm.report().opening, clock=self.clock), nothing
         if self.name == "franka":
-            return Franka("mock", robot, joints, arm.seen, manifest.gripper.opening_m[0]), nothing
+            return Franka("mock", robot, joints, arm.seen, manifest.gripper.opening_m[0], self.clock), nothing
         if self.name == "kortex":
-            return Kortex("mock", robot, joints, arm.seen, ("mock", "mock")), nothing
+            return Kortex("mock", robot, joints, arm.seen, ("mock", "mock"), self.clock), nothing
         client = SimpleNamespace(send_goal_async=lambda goal: arm.grip(1.0 - goal.command.position / GRIPPER_CLOSED))
         grip = GripperAction(client, lambda: SimpleNamespace(command=SimpleNamespace()), 0.0, GRIPPER_CLOSED, 40.0)
-        opening = JointOpening(GRIPPER_JOINT, 0.0, GRIPPER_CLOSED)
+        opening = JointOpening(GRIPPER_JOINT, 0.0, GRIPPER_CLOSED, self.clock.now)
         self.modules["rclpy"].create_node("gripper").create_subscription(None, ros2.STATES, opening.heard, 1)
-        return open_arm(robot, joints, arm.seen, grip, opening, [f"joint_{i + 1}" for i in range(len(joints))])
+        return open_arm(robot, joints, arm.seen, grip, opening, [f"joint_{i + 1}" for i in range(len(joints))], clock=self.clock)
 
     def begin(self, seed: int) -> None:
         """Put the arm at a seed's start, and connect anew: a driver that has stopped an arm stays stopped."""
@@ -554,8 +618,9 @@ class MockedDriver:
     def stop(self, reason: str) -> None:
         """See Driver."""
         if self._driver is not None:
-            self._driver.stop(reason)
-            self._close()
+            with self.clock.released():
+                self._driver.stop(reason)
+                self._close()
             self._driver = None
 
 

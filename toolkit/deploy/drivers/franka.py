@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.arm import WALL, ArmInfo, Clock, Command, State
 from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
@@ -40,15 +40,18 @@ class Franka:
         joints: names of the arm's joints in the bundle, base to flange.
         scene: reads the cameras.
         width: of the open gripper [m], the bundle's gripper.opening_m[0].
+        clock: of the stamps.
     """
 
-    def __init__(self, host: str, robot: str, joints: Sequence[str], scene: Scene, width: float) -> None:
-        self.host, self.robot, self.names, self.scene, self.width = host, robot, tuple(joints), scene, width
+    def __init__(
+        self, host: str, robot: str, joints: Sequence[str], scene: Scene, width: float, clock: Clock = WALL
+    ) -> None:
+        self.host, self.robot, self.names, self.scene, self.width, self.clock = host, robot, tuple(joints), scene, width, clock
         self._franky: Any = None
         self._arm: Any = None
         self._hand: Any = None
         self._width_sent: float | None = None
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
 
     def listen(self) -> ArmInfo:
         """As ``connect``, but no setting of the arm is touched; franky moves an arm only when it is given a motion.
@@ -61,7 +64,7 @@ class Franka:
             self._arm, self._hand = franky.Robot(self.host), franky.Gripper(self.host)
         except (RuntimeError, franky.Exception) as error:
             raise ToolkitError(f"no Franka answers at {self.host} ({error}); is FCI on, and does franky fit its version?") from None
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def connect(self) -> ArmInfo:
@@ -87,8 +90,9 @@ class Franka:
         width = float(self._hand.width)
         if not -WIDTH_NOISE <= width <= self.width + WIDTH_NOISE:
             raise ToolkitError(f"the hand reports a width of {width:.3g} m, not from 0 to {self.width:.3f}; is it homed, and in metres?")
+        stamp = least_fresh(self.clock.now(), stamp, self._stamped(float(state.time.to_sec())))
         return State(
-            least_fresh(stamp, self._clock(float(state.time.to_sec()))), np.array(state.q, float), position, quaternion, goal,
+            stamp, np.array(state.q, float), position, quaternion, goal,
             opening=float(np.clip(width / self.width, 0.0, 1.0)), speeds=np.array(state.dq, float),
             efforts=np.array(state.tau_J, float), fault=fault,
         )

@@ -10,14 +10,13 @@ told otherwise, so the thread is its watchdog, and the session's own timeout is 
 """
 
 import threading
-import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from toolkit.bundle.makers import JOINT_SPEEDS
-from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
+from toolkit.deploy.arm import NEWS, WALL, ArmInfo, Clock, Command, State
 from toolkit.deploy.drivers.stamps import Changes, least_fresh
 from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
@@ -59,10 +58,13 @@ class Kortex:
         joints: names of the arm's joints in the bundle, base to flange; Kortex numbers them in the same order.
         scene: reads the cameras.
         account: user and password on the arm.
+        clock: of the stamps and of the thread that feeds the arm.
     """
 
-    def __init__(self, host: str, robot: str, joints: Sequence[str], scene: Scene, account: tuple[str, str]) -> None:
-        self.host, self.robot, self.names, self.scene, self.account = host, robot, tuple(joints), scene, account
+    def __init__(
+        self, host: str, robot: str, joints: Sequence[str], scene: Scene, account: tuple[str, str], clock: Clock = WALL
+    ) -> None:
+        self.host, self.robot, self.names, self.scene, self.account, self.clock = host, robot, tuple(joints), scene, account, clock
         self._fastest = np.array(JOINT_SPEEDS.get(robot, (np.inf,) * len(self.names)))
         self._api: _Api | None = None
         self._transport: Any = None
@@ -77,7 +79,7 @@ class Kortex:
         self._told: float | None = None
         self._trouble = ""
         self._measured = np.zeros(len(self.names))
-        self._changed = Changes()
+        self._changed = Changes(clock.now)
 
     def listen(self) -> ArmInfo:
         """As ``connect``, but the arm's servoing mode stays as it is, and nothing is ever sent.
@@ -146,7 +148,7 @@ class Kortex:
         with self._lock:
             self._measured = measured
         return State(
-            least_fresh(stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
+            least_fresh(self.clock.now(), stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
             efforts=np.array([actuator.torque for actuator in actuators], float), fault=self._trouble or self._complaint(feedback),
         )
@@ -169,7 +171,7 @@ class Kortex:
         if self._trouble:
             raise ToolkitError(f"the arm has stopped: {self._trouble}")
         with self._lock:
-            self._command, self._sent = command, time.monotonic()
+            self._command, self._sent = command, self.clock.now()
         if not command.hold and (self._told is None or abs(command.opening - self._told) >= NEWS):
             messages = self._api.Base_pb2
             gripper = messages.GripperCommand()
@@ -195,10 +197,10 @@ class Kortex:
 
     def _stream(self) -> None:
         """Feed the arm at its own rate until it is stopped."""
-        still, due = True, time.monotonic()
+        still, due = True, self.clock.now()
         while not self._ended.is_set():
             with self._lock:
-                command, age, measured = self._command, time.monotonic() - self._sent, self._measured
+                command, age, measured = self._command, self.clock.now() - self._sent, self._measured
             try:
                 if command is None or command.hold or age > WATCHDOG:
                     if not still:
@@ -210,8 +212,9 @@ class Kortex:
             except ToolkitError as error:
                 self._trouble = str(error)
                 return
-            due = max(due + 1.0 / RATE, time.monotonic())
-            self._ended.wait(max(0.0, due - time.monotonic()))
+            now = self.clock.now()
+            due = max(due + 1.0 / RATE, now)
+            self.clock.sleep(due - now)
 
     def _speeds(self, command: Command, age: float, measured: np.ndarray) -> Any:
         """Kortex's message for the waypoint that is due. A next command that is late by less than a period does not make the arm falter;

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from toolkit.bundle.manifest import Manifest
-from toolkit.deploy.arm import NEWS, ArmInfo, Command, State
+from toolkit.deploy.arm import NEWS, WALL, ArmInfo, Clock, Command, State
 from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
 from toolkit.deploy.drivers.ur import Grip, Scene
 from toolkit.deploy.kinematics import matrix_of, quaternion_of
@@ -56,19 +56,20 @@ class Ros2:
         joints: names of the arm's joints in the bundle, base to flange.  ros_names: the same joints' names in ROS.
         scene: reads the cameras.
         gripper: moves the gripper.  opening: reads it, 0 closed to 1 open.
+        clock: of the stamps.
     """
 
     def __init__(
         self, publisher: Any, trajectory: Any, point: Any, duration: Any, robot: str, joints: Sequence[str], ros_names: Sequence[str],
-        scene: Scene, gripper: Grip, opening: Callable[[], float],
+        scene: Scene, gripper: Grip, opening: Callable[[], float], clock: Clock = WALL,
     ) -> None:
         self.publisher, self.trajectory, self.point, self.duration = publisher, trajectory, point, duration
         self.robot, self.names, self.ros_names = robot, tuple(joints), tuple(ros_names)
-        self.scene, self.gripper, self.opening = scene, gripper, opening
+        self.scene, self.gripper, self.opening, self.clock = scene, gripper, opening, clock
         self._heard: tuple[float, Any] | None = None
         self._there: set[str] = set()  # what has been a number for every joint, and is to be one from then on
         self._stopped = ""
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
 
     def heard(self, message: Any) -> None:
         """Callback for /joint_states, on which several may speak: a gripper's own message says nothing of the arm, and hides nothing.
@@ -77,11 +78,11 @@ class Ros2:
         """
         if self._heard is None or any(name in message.name for name in self.ros_names):
             seconds = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            self._heard = self._clock(seconds), message
+            self._heard = self._stamped(seconds), message
 
     def connect(self) -> ArmInfo:
         """See Driver."""
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
         return ArmInfo(self.robot, self.names, (), ("joint",), RATE)
 
     def listen(self) -> ArmInfo:
@@ -109,7 +110,8 @@ class Ros2:
             raise ToolkitError(f"/joint_states names {len(names)} joints and has {len(message.position)} positions")
         position, quaternion, goal, seen = self.scene()
         speeds, efforts = self._present("speed", message.velocity, order), self._present("effort", message.effort, order)
-        return State(least_fresh(stamp, seen), np.array(message.position, float)[order], position, quaternion, goal, opening=self.opening(),
+        stamp = least_fresh(self.clock.now(), stamp, seen)
+        return State(stamp, np.array(message.position, float)[order], position, quaternion, goal, opening=self.opening(),
                      speeds=speeds, efforts=efforts, fault=self._stopped)
 
     def _present(self, what: str, values: Sequence[float], order: list[int]) -> np.ndarray | None:
@@ -160,7 +162,7 @@ class Ros2:
 
 def open_arm(
     robot: str, joints: Sequence[str], scene: Scene, gripper: Grip | None = None, opening: Callable[[], float] | None = None,
-    ros_names: Sequence[str] | None = None, listens: bool = False, name: str = "meta_evolve",
+    ros_names: Sequence[str] | None = None, listens: bool = False, name: str = "meta_evolve", clock: Clock = WALL,
 ) -> tuple[Ros2, Callable[[], None]]:
     """An arm of the ROS 2 graph, through a node of its own that a thread spins.
 
@@ -172,6 +174,7 @@ def open_arm(
         ros_names: the joints' names in ROS; None: JOINT_NAMES.
         listens: make no publisher.
         name: of the node.
+        clock: of the stamps.
 
     Returns:
         the arm, and what closes its node.
@@ -194,7 +197,7 @@ def open_arm(
     node = rclpy.create_node(name)
     publisher = None if listens else node.create_publisher(JointTrajectory, TRAJECTORY, 1)
     arm = Ros2(publisher, JointTrajectory, JointTrajectoryPoint, Duration, robot, joints, names, scene, gripper or _nothing,
-               opening or _open)
+               opening or _open, clock)
     node.create_subscription(JointState, STATES, arm.heard, 1)
     ended = threading.Event()
 

@@ -59,7 +59,7 @@ class Changes:
         return self._since
 
 
-def least_fresh(*stamps: float) -> float:
-    """Of what one state is made of [s, time.monotonic]: the stamp farthest from now, so that none from the past or the future is hidden."""
-    now = time.monotonic()
+def least_fresh(now: float, *stamps: float) -> float:
+    """Of what one state is made of [s, on the clock of ``now``]: the stamp farthest from now, so that none from the past or the future is
+    hidden."""
     return max(stamps, key=lambda stamp: float("inf") if stamp != stamp else abs(now - stamp))

@@ -11,14 +11,13 @@ the controller's: it is turned by half a turn about z from the base body of robo
 """
 
 import threading
-import time
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from toolkit.deploy.arm import ArmInfo, Command, State
+from toolkit.deploy.arm import WALL, ArmInfo, Clock, Command, State
 from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
 from toolkit.deploy.kinematics import matrix_of, vector_of
 from toolkit.errors import ToolkitError
@@ -49,6 +48,7 @@ class UniversalRobots:
         gripper: moves the gripper; a Robotiq takes 255 * (1 - opening) as its position byte.
         opening: reads how far it is open, 0 to 1.
         base_turn: rotation (3, 3) of the controller's base frame in the bundle's base frame.
+        clock: of the stamps, and of the age of a command.
     """
 
     def __init__(
@@ -60,8 +60,9 @@ class UniversalRobots:
         gripper: Grip,
         opening: Callable[[], float],
         base_turn: np.ndarray | None = None,
+        clock: Clock = WALL,
     ) -> None:
-        self.host, self.robot, self.names = host, robot, tuple(joints)
+        self.host, self.robot, self.names, self.clock = host, robot, tuple(joints), clock
         self.scene, self.gripper, self.opening = scene, gripper, opening
         self.base_turn = np.diag([-1.0, -1.0, 1.0]) if base_turn is None else np.array(base_turn)
         self._control: Any = None
@@ -71,7 +72,7 @@ class UniversalRobots:
         self._sent = 0.0
         self._streamer: threading.Thread | None = None
         self._trouble = ""
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
 
     def listen(self) -> ArmInfo:
         """As ``connect``, but with the interface alone that reads: no program is started on the controller.
@@ -84,7 +85,7 @@ class UniversalRobots:
             self._receive = receive.RTDEReceiveInterface(self.host)
         except RuntimeError as error:
             raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on?") from None
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def connect(self) -> ArmInfo:
@@ -99,7 +100,7 @@ class UniversalRobots:
             self._control = control.RTDEControlInterface(self.host, RATE)
         except RuntimeError as error:
             raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on, and in remote mode?") from None
-        self._clock = DeviceClock()
+        self._stamped = DeviceClock(self.clock.now)
         self._control.setWatchdog(10.0)  # [Hz] at least
         self._ended.clear()
         self._trouble, self._command = "", None
@@ -122,8 +123,9 @@ class UniversalRobots:
         fault = fault or ("emergency stop" if receive.isEmergencyStopped() else "")
         fault = fault or ("protective stop" if receive.isProtectiveStopped() else "")
         position, quaternion, goal, stamp = self.scene()
+        stamp = least_fresh(self.clock.now(), stamp, self._stamped(float(receive.getTimestamp())))
         return State(
-            least_fresh(stamp, self._clock(float(receive.getTimestamp()))), joints, position, quaternion, goal, opening=self.opening(),
+            stamp, joints, position, quaternion, goal, opening=self.opening(),
             speeds=speeds if len(speeds) else None, efforts=efforts if len(efforts) else None, fault=fault,
         )
 
@@ -138,7 +140,7 @@ class UniversalRobots:
         if self._trouble:
             raise ToolkitError(f"the arm has stopped: {self._trouble}")
         with self._lock:
-            self._command, self._sent = command, time.monotonic()
+            self._command, self._sent = command, self.clock.now()
         if not command.hold:
             self.gripper(command.opening, command.opening_m)
         return command
@@ -161,7 +163,7 @@ class UniversalRobots:
             period = control.initPeriod()
             with self._lock:
                 command, sent = self._command, self._sent
-            age = time.monotonic() - sent
+            age = self.clock.now() - sent
             if command is None or command.hold or age > WATCHDOG:
                 if not still:
                     control.servoStop(DECELERATION)
