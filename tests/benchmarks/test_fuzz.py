@@ -26,7 +26,7 @@ from toolkit.cli import main
 from toolkit.errors import ToolkitError
 from toolkit.io.jsonfiles import parsed, parsed_object, read_object, require
 from toolkit.io.tensors import read_tensors
-from toolkit.runs.phases import Phase, Take, load_phase
+from toolkit.runs.phases import KeptEpisode, Phase, load_phase
 from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 
 BUNDLE = SHIPPED / "kinova3.zip"
@@ -279,8 +279,8 @@ def test_odd_safetensors(tmp_path, header, data):
 def test_a_phase_that_says_what_cannot_be(tmp_path, change):
     """Opened, one of these asked for a billion policies, another would have been written outside the run folder."""
     network = {"parameters": np.zeros(4), "shift": np.zeros(2), "scale": np.ones(2)}
-    take = Take(0, False, True, False, 9, 1.1, 0, 0, np.zeros(3), ["last"])
-    phase = Phase("path 1", 0, "evolve", ["a"], np.zeros(3), None, [network], [take])
+    kept = KeptEpisode(0, False, True, False, 9, 1.1, 0, 0, np.zeros(3), ["last"])
+    phase = Phase("path 1", 0, "evolve", ["a"], np.zeros(3), None, [network], [kept])
     phase.save(tmp_path)
     file = tmp_path / "phases" / f"{phase.name}.safetensors"
     content = file.read_bytes()

@@ -20,7 +20,7 @@ from tasks.dexycb.standin import write_standin
 from toolkit import cli
 from toolkit.benchmarks.results import finished_runs, write_results
 from toolkit.cli import main
-from toolkit.demonstrations.rehearsal import Broken, Retargeter, teachers_for
+from toolkit.demonstrations.replay import Broken, Retargeter, teachers_for
 from toolkit.errors import ToolkitError
 from toolkit.runs.phases import FOLDER, Phase, load_phases
 from toolkit.runs.run import Run

@@ -15,7 +15,7 @@ from tasks.dexycb.recording import FINGERS, JOINT_NAMES
 from tasks.dexycb.standin import SERIALS, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import ACTION_SIZE, OBSERVATION_SIZE, START_ROTATION
-from toolkit.demonstrations.rehearsal import Dropped, Retargeter, teachers_for
+from toolkit.demonstrations.replay import Dropped, Retargeter, teachers_for
 from toolkit.demonstrations.retargeting import DIGIT, REACHABLE, HandModel, touching
 from toolkit.demonstrations.scripts import entry
 from toolkit.demonstrations.tracks import Track, TrackScript, _stretch

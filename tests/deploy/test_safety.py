@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 
-from toolkit.benchmarks.hostile import Puppet
+from toolkit.benchmarks.hostile import SimulatedArm
 from toolkit.bundle.manifest import Braking, BrakingDistance
 from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import ArmInfo, State
@@ -328,8 +328,8 @@ def test_a_steady_action_commands_the_metres_that_the_arm_would_make(bundle, for
     """0.3 upwards for 20 ticks: steady response times delta times ticks, less what starting up takes."""
     m = bundle.manifest
     runtime = Runtime(bundle, info_of(m), form, lambda observation: np.array([0, 0, 0.2, 0, 0, 0, -1.0]))
-    state, puppet = start_state(bundle), Puppet(bundle, np.random.default_rng(0))
-    puppet.begin(0.0)
+    state, arm = start_state(bundle), SimulatedArm(bundle, np.random.default_rng(0))
+    arm.begin(0.0)
     assert runtime.begin(state, 0.0) is None
     kinematics = Kinematics.of(m, bundle.mjcf)
     kinematics.place(state.joints, state.fingers)
@@ -341,9 +341,9 @@ def test_a_steady_action_commands_the_metres_that_the_arm_would_make(bundle, for
             state = changed(state, joints=tick.command.target)
         else:
             runtime.motion.lead = np.full(6, 1.0)
-            puppet.state = state
-            puppet.obey(tick.command)
-            state = puppet.state
+            arm.state = state
+            arm.obey(tick.command)
+            state = arm.state
     if form == "joint":
         kinematics.place(tick.command.target, state.fingers)
         height = kinematics.position[2]

@@ -18,12 +18,12 @@ from toolkit.cli.training import record_run
 from toolkit.errors import ToolkitError
 from toolkit.expert import shelf
 from toolkit.expert.training import new_learner
-from toolkit.inspection.film import PickFilm, shoot
 from toolkit.inspection.furniture import opacity
 from toolkit.inspection.recording import recordings, viewer
 from toolkit.inspection.recording.scene import Scene
 from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report import stills
+from toolkit.inspection.trajectory import PickTrajectory, replay
 from toolkit.inspection.visual import ALWAYS, SHAPE, SKIN, visual_of
 from toolkit.learning.policy import MeanActor
 from toolkit.morphology.lab import Lab
@@ -95,8 +95,8 @@ def test_boxes_and_balls_of_another_task():
     lab = Lab(HAND_ROBOTS[0], HAND_ROBOTS[1:], LIFT)
     visual, alpha = visual_of(lab.merged), lab.space.betas[1]
     actor = MeanActor(new_learner(LIFT, 0)[0])
-    film = shoot(merged_plant(lab.merged, alpha, *lab.merged.new()), actor, 3, alpha)
-    assert not isinstance(film, PickFilm) and {name: len(drawn.colours) for name, drawn in visual.primitives.items()} == {
+    film = replay(merged_plant(lab.merged, alpha, *lab.merged.new()), actor, 3, alpha)
+    assert not isinstance(film, PickTrajectory) and {name: len(drawn.colours) for name, drawn in visual.primitives.items()} == {
         "boxes": 1, "capsules": 2, "ellipsoids": 2}, "the palm, two fingers, the ball and a site"
     motion = visual.playing(film, alpha)
     model, data = lab.merged.new()
@@ -121,7 +121,7 @@ def test_a_film_keeps_what_the_scene_has_placed(hands):
     plant = native_plant(hands.targets[0], hands.task)
     films, places = [], []
     for seed in (1, 2):
-        films.append(shoot(plant, actor, seed, hands.space.betas[1]))
+        films.append(replay(plant, actor, seed, hands.space.betas[1]))
         places.append(np.array(plant.data.xpos[plant.model.body("frame").id]))
     assert np.abs(places[0] - places[1]).max() > 0.01, "the seeds place the door alike"
     model = hands.merged.template
@@ -196,21 +196,21 @@ def test_the_run_is_recorded_while_it_goes_on(run):
 
 def test_the_curves_of_a_rebuilt_run_are_of_the_episodes_played_again(run):
     """Every episode that the phases keep: its actions, and its joints as the engine plays them."""
-    from toolkit.cli.inspection import known_run
+    from toolkit.cli.inspection import stored_run
 
-    folder, known = run[0], known_run(run[0])
-    cost = recordings.rebuild(known)
-    takes = [(phase, take) for phase in load_phases(folder).values() for take in phase.takes]
-    assert cost.drawn == cost.known == len(takes) > 1
+    folder, stored = run[0], stored_run(run[0])
+    cost = recordings.rebuild(stored)
+    episodes = [(phase, kept) for phase in load_phases(folder).values() for kept in phase.episodes]
+    assert cost.drawn == cost.known == len(episodes) > 1
     rows = [row["Scalars:scalars"] for row in entities(folder / "recording.rrd")["/signals/action"] if "Scalars:scalars" in row]
     drawn = [tuple(np.round(row, 5)) for row in rows if np.isfinite(row).all()]
-    phase, take = takes[0]
-    policy = phase.play_as(take, known.policy)
-    actor = policy.act if take.noise else MeanActor(policy)
-    plant = known.native("thick") if phase.stage == "settle" else merged_plant(known.merged, take.alpha, *known.merged.new())
-    episode = play(plant, actor, take.seed, take.alpha)
+    phase, kept = episodes[0]
+    policy = phase.policy_of(kept, stored.policy)
+    actor = policy.act if kept.noise else MeanActor(policy)
+    plant = stored.native("thick") if phase.stage == "settle" else merged_plant(stored.merged, kept.alpha, *stored.merged.new())
+    episode = play(plant, actor, kept.seed, kept.alpha)
     wanted = [tuple(np.round(np.clip(action, -1, 1), 5)) for action in episode.actions]
-    assert set(wanted) <= set(drawn) and len(drawn) == sum(take.steps for _, take in takes)
+    assert set(wanted) <= set(drawn) and len(drawn) == sum(kept.steps for _, kept in episodes)
 
 
 class Text(HTMLParser):
@@ -250,12 +250,12 @@ def test_the_commands_look_at_it(run, tmp_path, capsys):
 def test_the_run_becomes_a_film(run, tmp_path):
     import cv2
 
-    from toolkit.cli.inspection import known_run
+    from toolkit.cli.inspection import stored_run
     from toolkit.inspection.report import video
 
-    known, size, video.SIZE = known_run(run[0]), video.SIZE, (160, 120)
+    stored, size, video.SIZE = stored_run(run[0]), video.SIZE, (160, 120)
     try:
-        seconds = video.write_video(known.folder, known.merged, known.tree(), known.policy, known.native, tmp_path / "film.mp4")
+        seconds = video.write_video(stored.folder, stored.merged, stored.tree(), stored.policy, stored.native, tmp_path / "film.mp4")
     except ToolkitError as error:
         pytest.skip(str(error))
     finally:
@@ -273,7 +273,7 @@ def test_a_films_episodes_are_as_fast_as_they_were(frequency, frames):
     from toolkit.inspection.report import video
 
     task = replace(CRAWL, control_frequency=frequency, horizon=10, goal=9.0)
-    film = shoot(native_plant(CRAWLER_ROBOTS[0], task), MeanActor(new_learner(task, 0)[0]), 0, np.zeros(1))
+    film = replay(native_plant(CRAWLER_ROBOTS[0], task), MeanActor(new_learner(task, 0)[0]), 0, np.zeros(1))
     assert len(film.qpos) == 11 and video._frames(film) == frames
 
 

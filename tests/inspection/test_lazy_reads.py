@@ -119,7 +119,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
     (run.path / "config.json").write_text(json.dumps(config))
     new_learner(TASKS["061_foam_brick"], 0)[0].save(run.path / "kinova3.policy.safetensors")
 
-    class Known:
+    class StoredRun:
         merged = None
 
         def tree(self):
@@ -127,7 +127,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
 
             return read_tree(run.path)
 
-    monkeypatch.setattr(inspection, "known_run", lambda folder: Known())
+    monkeypatch.setattr(inspection, "stored_run", lambda folder: StoredRun())
     (run.path / file).write_text(text)
     with pytest.raises(SystemExit) as stop:
         main([command[0], str(run.path), *command[1:]])

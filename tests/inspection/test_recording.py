@@ -23,7 +23,7 @@ from toolkit.inspection.recording.stream import Stream
 from toolkit.inspection.report.figures import tree_figure
 from toolkit.inspection.visual import AT_THE_TABLE, visual_of
 from toolkit.learning.policy import MeanActor
-from toolkit.runs.phases import Phase, PhaseRecorder, Take, landmarks, load_phases
+from toolkit.runs.phases import KeptEpisode, Phase, PhaseRecorder, landmarks, load_phases
 from toolkit.runs.run import Run
 from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.rollout import play
@@ -75,18 +75,18 @@ def run(small, policy, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def known(run, small, policy):
+def stored(run, small, policy):
     from robots import ROBOTS
 
     native = lambda name: native_plant(ROBOTS[name], small.task)  # noqa: E731
-    return recordings.Known(run, small.merged, policy, native, {"jaco": policy})
+    return recordings.StoredRun(run, small.merged, policy, native, {"jaco": policy})
 
 
 @pytest.fixture(scope="module")
-def rebuilt(known):
+def rebuilt(stored):
     """(file, cost) of the run's recording."""
-    cost = recordings.rebuild(known)
-    return known.folder / "recording.rrd", cost
+    cost = recordings.rebuild(stored)
+    return stored.folder / "recording.rrd", cost
 
 
 def entities(path):
@@ -125,11 +125,11 @@ def test_no_mesh_twice(rows, small):
     assert len(set(shapes)) == len(shapes), "no two entities hold the same mesh"
 
 
-def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, known):
+def test_the_native_robots_links_stand_where_mujoco_says(rows, small, policy, stored):
     """The last film is on the unmodified Jaco: instances of its meshes against mj_kinematics, to 1e-5."""
-    from toolkit.inspection.film import shoot
+    from toolkit.inspection.trajectory import replay
 
-    film = shoot(known.native("jaco"), MeanActor(policy), 11, small.space.betas[1])
+    film = replay(stored.native("jaco"), MeanActor(policy), 11, small.space.betas[1])
     model, data = film.model, mujoco.MjData(film.model)
     body = model.body("robot0_j2s7s300_link_4").id
     (entity,) = [path for path in rows if path.endswith("/j2s7s300_link_4")]
@@ -220,14 +220,14 @@ def test_contacts_and_signals_of_a_film(rows):
     assert max(row["Scalars:scalars"][0] for row in rows["/signals/grip"] if "Scalars:scalars" in row) > 0.3
 
 
-def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
+def test_a_running_transfer_spends_at_most_its_share(tmp_path, stored):
     """With no time at all, curves and ways are told, and of every path the landmarks at the end; a rebuild plays the rest."""
-    recorder = RunRecorder(Stream(tmp_path / "a.rrd"), known.folder, known.merged, known.tree(), known.policy, known.native, 1e-9,
-                  Run.open(known.folder).read_metrics())
+    recorder = RunRecorder(Stream(tmp_path / "a.rrd"), stored.folder, stored.merged, stored.tree(), stored.policy, stored.native, 1e-9,
+                  Run.open(stored.folder).read_metrics())
     cost = recorder.finish()
-    kept = landmarks([(phase, take) for phase in load_phases(known.folder).values() for take in phase.takes])
+    kept = landmarks([(phase, kept) for phase in load_phases(stored.folder).values() for kept in phase.episodes])
     assert 2 <= cost.drawn == len(kept) <= cost.known == 4 and 0 < SHARE <= 0.03
-    assert cost.drawn == 4 or f"meta-evolve view {known.folder} --rebuild" in str(cost)
+    assert cost.drawn == 4 or f"meta-evolve view {stored.folder} --rebuild" in str(cost)
     told = entities(tmp_path / "a.rrd")
     assert "/learning/success" in told
     captions = [row["TextDocument:text"][0] for row in told["/signals/caption"]]
@@ -235,16 +235,16 @@ def test_a_running_transfer_spends_at_most_its_share(tmp_path, known):
 
 
 def test_landmarks_are_of_the_whole_path():
-    def phase(path, number, takes):
-        return Phase(path, number, "evolve", ["t"], np.zeros(1), None, [], takes)
+    def phase(path, number, episodes):
+        return Phase(path, number, "evolve", ["t"], np.zeros(1), None, [], episodes)
 
-    def take(seed, score, *roles):
-        return Take(seed, False, score > 0, False, 9, score, 0, 0, np.zeros(1), list(roles))
+    def one_kept(seed, score, *roles):
+        return KeptEpisode(seed, False, score > 0, False, 9, score, 0, 0, np.zeros(1), list(roles))
 
-    one = phase("path 1", 0, [take(1, -0.2, "first", "failure", "worst"), take(2, 1.1, "best", "last")])
-    two = phase("path 1", 1, [take(3, -0.9, "first", "worst", "failure"), take(4, 1.5, "best"), take(5, 1.2, "last")])
-    three = phase("path 2", 0, [take(6, 1.0, "first", "best", "worst", "last")])
-    kept = landmarks([(each, t) for each in (one, two, three) for t in each.takes])
+    one = phase("path 1", 0, [one_kept(1, -0.2, "first", "failure", "worst"), one_kept(2, 1.1, "best", "last")])
+    two = phase("path 1", 1, [one_kept(3, -0.9, "first", "worst", "failure"), one_kept(4, 1.5, "best"), one_kept(5, 1.2, "last")])
+    three = phase("path 2", 0, [one_kept(6, 1.0, "first", "best", "worst", "last")])
+    kept = landmarks([(each, t) for each in (one, two, three) for t in each.episodes])
     assert [t.seed for _, t in kept] == [1, 3, 4, 5, 6], "first and first failure, worst, best, last; of the other path its only one"
 
 
@@ -272,7 +272,7 @@ def test_what_stands_still_in_a_gif_is_the_same_in_every_picture(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["mp4", "gif"])
 @pytest.mark.slow
-def test_a_run_becomes_a_film(tmp_path, known, suffix):
+def test_a_run_becomes_a_film(tmp_path, stored, suffix):
     """As long as it says, in colour, and its last picture is the target, standing."""
     import cv2
     from PIL import Image, ImageSequence
@@ -281,7 +281,7 @@ def test_a_run_becomes_a_film(tmp_path, known, suffix):
 
     video_size, video.SIZE = video.SIZE, (160, 120)
     try:
-        seconds = video.write_video(known.folder, known.merged, known.tree(), known.policy, known.native, tmp_path / f"film.{suffix}")
+        seconds = video.write_video(stored.folder, stored.merged, stored.tree(), stored.policy, stored.native, tmp_path / f"film.{suffix}")
     except ToolkitError as error:
         pytest.skip(str(error))
     finally:
@@ -302,14 +302,14 @@ def test_a_run_becomes_a_film(tmp_path, known, suffix):
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 2.0, "the hand has become the Jaco"
 
 
-def test_a_run_without_episodes_makes_no_film(tmp_path, known):
+def test_a_run_without_episodes_makes_no_film(tmp_path, stored):
     from toolkit.inspection.report import video
 
     with pytest.raises(ToolkitError, match="keeps no phases to show"):
-        video.write_video(tmp_path, known.merged, known.tree(), known.policy, known.native, tmp_path / "film.mp4")
+        video.write_video(tmp_path, stored.merged, stored.tree(), stored.policy, stored.native, tmp_path / "film.mp4")
 
 
-def test_what_is_zero_all_along_has_a_sentence(rebuilt, known):
+def test_what_is_zero_all_along_has_a_sentence(rebuilt, stored):
     """The run trained nothing; its success and its wall time are curves."""
     flat = learning.flat_curves(viewer.chunks_of(rebuilt[0]))
     assert {"sim_epochs", "train_iterations", "diverged", "kl"} <= flat and not {"success", "wall"} & flat
@@ -317,14 +317,14 @@ def test_what_is_zero_all_along_has_a_sentence(rebuilt, known):
 
 
 @pytest.mark.parametrize("page", ["evolution", "morph", "rollouts", "learning", "summary"])
-def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, known, page, capfd):
+def test_an_excerpt_is_one_page_at_one_moment(tmp_path, rebuilt, rows, stored, page, capfd):
     """So little that a program that takes its picture as soon as the viewer opens is not too early for it."""
     file, out = rebuilt[0], tmp_path / f"{page}.rrd"
     at = excerpt.moment_of(file, None, page)
     assert at == (max(row["iteration"] for row in rows["/learning/sim_epochs"] if "iteration" in row) if page == "learning" else
                   pytest.approx(max(seconds(row) for own in rows.values() for row in own if "film" in row), abs=1e-6))
     at = at if page == "learning" else 0.5 * at
-    excerpt.excerpt(file, page, at, recordings.page_layout(known.folder, file, page, True), out)
+    excerpt.excerpt(file, page, at, recordings.page_layout(stored.folder, file, page, True), out)
     assert not capfd.readouterr().err, "nothing to warn of, as entities that hold nothing yet"
     told = entities(out)
     assert all(path.startswith((*excerpt.ROOTS[page], "/__properties", "/scene/baked")) for path in told)
@@ -361,69 +361,69 @@ def _compare_baked(told, rows, at):
         np.testing.assert_allclose(np.sort(baked, axis=0), np.sort(np.concatenate(parts), axis=0), atol=1e-5)
 
 
-def test_an_excerpt_of_nothing_gets_one_sentence(tmp_path, rebuilt, known):
-    layout = recordings.page_layout(known.folder, rebuilt[0], "rollouts", True)
+def test_an_excerpt_of_nothing_gets_one_sentence(tmp_path, rebuilt, stored):
+    layout = recordings.page_layout(stored.folder, rebuilt[0], "rollouts", True)
     with pytest.raises(ToolkitError, match="shows nothing of the page rollouts at -100"):
         excerpt.excerpt(rebuilt[0], "rollouts", -100.0, layout, tmp_path / "a.rrd")
 
 
-def test_a_run_without_phases_shows_its_last_policies(tmp_path, known):
+def test_a_run_without_phases_shows_its_last_policies(tmp_path, stored):
     """An older version's run: config, tree, metrics and final policies."""
     old = tmp_path / "old"
     old.mkdir()
     for name in ("config.json", "tree.json", "metrics.jsonl"):
-        (old / name).write_bytes((known.folder / name).read_bytes())
-    cost = recordings.rebuild(recordings.Known(old, known.merged, known.policy, known.native, known.trained))
+        (old / name).write_bytes((stored.folder / name).read_bytes())
+    cost = recordings.rebuild(recordings.StoredRun(old, stored.merged, stored.policy, stored.native, stored.trained))
     assert cost.drawn == 2
     assert any("at 100% of adroit to jaco" in row["TextDocument:text"][0] for row in entities(old / "recording.rrd")["/signals/caption"])
 
 
-def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, known):
+def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, stored):
     """Its last phase has no end and no record: the episodes that it holds are played all the same."""
     import shutil
 
     stuck = tmp_path / "stuck"
-    shutil.copytree(known.folder, stuck, ignore=shutil.ignore_patterns("*.rrd"))
+    shutil.copytree(stored.folder, stuck, ignore=shutil.ignore_patterns("*.rrd"))
     for file in stuck.glob("phases/path-1-00[12]*"):
         file.unlink()
     records = (stuck / "metrics.jsonl").read_text().splitlines(keepends=True)
     (stuck / "metrics.jsonl").write_text("".join(records[:2]))
-    played = [play(merged_plant(known.merged, known.merged.space.betas[1], *known.merged.new()),
-                   MeanActor(known.policy), 11, known.merged.space.betas[1])]
-    policies = [known.policy] * len(played)
+    played = [play(merged_plant(stored.merged, stored.merged.space.betas[1], *stored.merged.new()),
+                   MeanActor(stored.policy), 11, stored.merged.space.betas[1])]
+    policies = [stored.policy] * len(played)
     recorder = PhaseRecorder(stuck, TASKS["061_foam_brick"].miss, {"path 1": 1})
-    recorder.record("path 1", "evolve", ["jaco"], known.merged.space.betas[0], policies, played, False, 0)
-    cost = recordings.rebuild(recordings.Known(stuck, known.merged, known.policy, known.native, {}))
+    recorder.record("path 1", "evolve", ["jaco"], stored.merged.space.betas[0], policies, played, False, 0)
+    cost = recordings.rebuild(recordings.StoredRun(stuck, stored.merged, stored.policy, stored.native, {}))
     assert cost.drawn == cost.known == 3, "two episodes of the phase that ended, one of the phase that did not"
     texts = [row["TextDocument:text"][0] for row in entities(stuck / "recording.rrd")["/signals/caption"]]
     assert any("phase 1 (evolve)" in text and "seed 11" in text for text in texts)
 
 
-def test_a_run_without_any_path_done_is_shown(tmp_path, known):
+def test_a_run_without_any_path_done_is_shown(tmp_path, stored):
     young = tmp_path / "young"
     young.mkdir()
     for name in ("config.json", "tree.json"):
-        (young / name).write_bytes((known.folder / name).read_bytes())
-    cost = recordings.rebuild(recordings.Known(young, known.merged, known.policy, known.native, {}))
+        (young / name).write_bytes((stored.folder / name).read_bytes())
+    cost = recordings.rebuild(recordings.StoredRun(young, stored.merged, stored.policy, stored.native, {}))
     assert cost.known == 0
     told = entities(young / "recording.rrd")
     assert "0 records; targets reached: none yet" in told["/summary"][-1]["TextDocument:text"][0]
 
 
-def test_a_run_of_another_space_is_refused_in_one_sentence(tmp_path, known):
+def test_a_run_of_another_space_is_refused_in_one_sentence(tmp_path, stored):
     other = tmp_path / "other"
     other.mkdir()
-    tree = json.loads((known.folder / "tree.json").read_bytes())
+    tree = json.loads((stored.folder / "tree.json").read_bytes())
     tree["nodes"] = [node | {"alpha": node["alpha"][:-1]} for node in tree["nodes"]]
     (other / "tree.json").write_text(json.dumps(tree))
     with pytest.raises(ToolkitError, match="another version"):
-        recordings.rebuild(recordings.Known(other, known.merged, known.policy, known.native, {}))
+        recordings.rebuild(recordings.StoredRun(other, stored.merged, stored.policy, stored.native, {}))
     (other / "tree.json").write_text("{")
     with pytest.raises(ToolkitError, match="tree.json is damaged"):
-        recordings.rebuild(recordings.Known(other, known.merged, known.policy, known.native, {}))
+        recordings.rebuild(recordings.StoredRun(other, stored.merged, stored.policy, stored.native, {}))
     (other / "tree.json").unlink()
     with pytest.raises(ToolkitError, match="has no tree.json yet"):
-        recordings.rebuild(recordings.Known(other, known.merged, known.policy, known.native, {}))
+        recordings.rebuild(recordings.StoredRun(other, stored.merged, stored.policy, stored.native, {}))
 
 
 def test_a_morph_follows_the_tree(tmp_path, small):
@@ -437,10 +437,10 @@ def test_a_morph_follows_the_tree(tmp_path, small):
     assert "this is the source" in texts[0.0], "the page is whole from the first frame on"
 
 
-def test_two_runs_stand_side_by_side(tmp_path, known):
-    films, layout = recordings.compare([("one", known, "jaco"), ("two", known, "jaco")], tmp_path / "c.rrd", seed=11)
+def test_two_runs_stand_side_by_side(tmp_path, stored):
+    films, layout = recordings.compare([("one", stored, "jaco"), ("two", stored, "jaco")], tmp_path / "c.rrd", seed=11)
     np.testing.assert_array_equal(films[0].qpos, films[1].qpos)
-    assert films[0].qpos.shape[1] == known.native("jaco").model.nq, "the unmodified robot, of which success is claimed"
+    assert films[0].qpos.shape[1] == stored.native("jaco").model.nq, "the unmodified robot, of which success is claimed"
     told = entities(tmp_path / "c.rrd")
     (entity,) = [path for path in told if path.endswith("/j2s7s300_link_7")]
     places = np.array(next(row for row in told[entity] if "film" in row)["InstancePoses3D:translations"])
@@ -450,7 +450,7 @@ def test_two_runs_stand_side_by_side(tmp_path, known):
     excerpt.excerpt(tmp_path / "c.rrd", "compare", 1.0, layout(True), tmp_path / "e.rrd")
     assert {"/side-1/caption", "/side-2/caption", "/scene/goal"} <= set(entities(tmp_path / "e.rrd"))
     with pytest.raises(ToolkitError, match="has no policy for 'iiwa' yet"):
-        recordings.compare([("one", known, "jaco"), ("two", known, "iiwa")], tmp_path / "d.rrd", seed=11)
+        recordings.compare([("one", stored, "jaco"), ("two", stored, "iiwa")], tmp_path / "d.rrd", seed=11)
 
 
 def test_the_tree_is_laid_out_to_scale():

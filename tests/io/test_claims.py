@@ -155,7 +155,7 @@ def test_the_recording_of_a_running_transfer_is_not_made_anew(tmp_path, monkeypa
     from toolkit.inspection.recording import recordings
 
     (tmp_path / "r").mkdir()
-    monkeypatch.setattr(inspection, "known_run", lambda path: None)
+    monkeypatch.setattr(inspection, "stored_run", lambda path: None)
     monkeypatch.setattr(recordings, "rebuild", lambda known, file: f"made {file}")
     holder = other(f"from pathlib import Path\nfrom toolkit.io.claims import claim\nclaim(Path({str(tmp_path / 'r')!r}), '')")
     try:

@@ -6,7 +6,7 @@ import pytest
 from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
-from toolkit.inspection.film import contacts_of, shoot
+from toolkit.inspection.trajectory import contacts_of, replay
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
 from toolkit.learning.policy import MeanActor
@@ -44,9 +44,9 @@ def test_the_episodes_worth_seeing_are_picked(tmp_path, policy):
     record(recorder, policy, [episode(0, True, 9), episode(1, False, distance=0.3), episode(2, True, 4), episode(3, False, distance=0.6)])
     record(recorder, policy, [episode(4, True, 6)])
     (phase,) = load_phases(tmp_path).values()
-    seeds = {role: phase.take(role).seed for role in ROLES}
+    seeds = {role: phase.episode(role).seed for role in ROLES}
     assert seeds == {"first": 0, "last": 4, "best": 2, "worst": 3, "failure": 1}
-    assert len(phase.takes) == 5 and len(phase.policies) == 1, "one policy, kept once"
+    assert len(phase.episodes) == 5 and len(phase.policies) == 1, "one policy, kept once"
 
 
 def test_a_diverged_episode_is_the_worst(tmp_path):
@@ -61,9 +61,9 @@ def test_policies_that_no_kept_episode_was_played_by_go(tmp_path, policy):
         record(recorder, learning, [episode(update, True, 9 - update)], update, noise=True)
         learning.set_parameters(learning.parameters + 1e-3)
     (phase,) = load_phases(tmp_path).values()
-    assert {take.update for take in phase.takes} == {0, 5} and len(phase.policies) == 2
-    assert phase.take("last").update == 5 and phase.take("worst").update == 0
-    np.testing.assert_array_equal(phase.play_as(phase.take("first"), policy).parameters, policy.parameters)
+    assert {kept.update for kept in phase.episodes} == {0, 5} and len(phase.policies) == 2
+    assert phase.episode("last").update == 5 and phase.episode("worst").update == 0
+    np.testing.assert_array_equal(phase.policy_of(phase.episode("first"), policy).parameters, policy.parameters)
 
 
 def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
@@ -77,7 +77,7 @@ def test_seeing_a_batch_again_changes_nothing(tmp_path, policy):
     again = PhaseRecorder(tmp_path / "b", MISS)
     record(again, policy, batches[1], 1)
     phases = [load_phases(tmp_path / run)["path-1-000-evolve"] for run in "ab"]
-    assert len({tuple(phase.take(role).seed for role in ROLES) for phase in phases}) == 1
+    assert len({tuple(phase.episode(role).seed for role in ROLES) for phase in phases}) == 1
 
 
 def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, policy):
@@ -88,10 +88,10 @@ def test_a_mirrored_pair_is_two_episodes_and_each_keeps_its_policy(tmp_path, pol
     for recorder in (PhaseRecorder(tmp_path, MISS), PhaseRecorder(tmp_path, MISS)):
         recorder.record("path 1", "evolve", ["a"], np.zeros(D), pair, [episode(7, True, 9), episode(7)], False, 0)
     (phase,) = load_phases(tmp_path).values()
-    assert len(phase.takes) == len(phase.policies) == 2
-    for take, played in zip((phase.take("best"), phase.take("failure")), pair, strict=True):
-        assert take.seed == 7
-        np.testing.assert_array_equal(phase.play_as(take, policy).layers().shift, played.layers().shift)
+    assert len(phase.episodes) == len(phase.policies) == 2
+    for kept, played in zip((phase.episode("best"), phase.episode("failure")), pair, strict=True):
+        assert kept.seed == 7
+        np.testing.assert_array_equal(phase.policy_of(kept, policy).layers().shift, played.layers().shift)
 
 
 def test_phases_count_on_where_each_path_was(tmp_path, policy):
@@ -116,7 +116,7 @@ def test_a_film_is_the_episode_again(pair, policy):
     beta = pair.merged.space.betas[0]
     actor = MeanActor(policy)
     played = play(merged_plant(pair.merged, beta, *pair.merged.new()), actor, 11, beta)
-    film = shoot(merged_plant(pair.merged, beta, *pair.merged.new()), actor, 11, beta)
+    film = replay(merged_plant(pair.merged, beta, *pair.merged.new()), actor, 11, beta)
     np.testing.assert_array_equal(film.actions, played.actions)
     assert film.success == played.success and film.verdict().startswith("success")
     assert len(film.qpos) == played.steps + 1 == len(film.target) + 1

@@ -78,7 +78,7 @@ def assert_same(found, wanted):
 
 
 def test_two_nodes_play_the_same_bits(cluster, batch, local):
-    assert len({seat.node for seat in cluster._held}) == 2, "both actors stand on one node"
+    assert len({remote.node for remote in cluster._held}) == 2, "both actors stand on one node"
     engine = ClusterEngine(cluster)
     assert_same(engine.play(*batch), local)
     assert engine.episodes_played == 8 and cluster.lost == 0
@@ -173,11 +173,11 @@ def playing(cluster, batch, strike):
     """Two batches' episodes, and the cluster's engine; ``strike`` is called with the actor that gave the third answer."""
     engine, done, given = ClusterEngine(cluster), [], cluster.give_back
 
-    def give_back(seat):
-        done.append(seat)
+    def give_back(remote):
+        done.append(remote)
         if len(done) == 3:
-            strike(seat)
-        given(seat)
+            strike(remote)
+        given(remote)
 
     cluster.give_back = give_back
     actors, alphas, seeds = batch
@@ -191,7 +191,7 @@ def playing(cluster, batch, strike):
 def test_an_actor_killed_in_the_middle_changes_nothing(cluster, batch, local, wait_for):
     """What it was given is played again by another one, and counted once."""
     before = cluster.lost
-    found, engine = playing(cluster, batch, lambda seat: ray.kill(seat.actor))
+    found, engine = playing(cluster, batch, lambda remote: ray.kill(remote.actor))
     assert_same(found, [*local, *local])
     assert engine.episodes_played == 16 and cluster.lost == before + 1
     wait_for(lambda: cluster.ready == 2, 300.0)
@@ -200,7 +200,7 @@ def test_an_actor_killed_in_the_middle_changes_nothing(cluster, batch, local, wa
 def test_an_episode_with_which_actors_die_again_and_again_ends_the_run(cluster, batch, monkeypatch, wait_for):
     monkeypatch.setattr(module, "ATTEMPTS", 1)
     with pytest.raises(ToolkitError, match="1 actors of the Ray cluster at .* were lost in turn with the episode of seed 1.*--resume"):
-        playing(cluster, batch, lambda seat: ray.kill(seat.actor))
+        playing(cluster, batch, lambda remote: ray.kill(remote.actor))
     wait_for(lambda: cluster.ready == 2, 300.0)
 
 
@@ -209,16 +209,16 @@ def test_a_node_removed_in_the_middle_changes_nothing(nodes, cluster, batch, loc
     monkeypatch.setattr(module, "ATTEMPTS", 1)
     (node,) = nodes.worker_nodes
     before = cluster.lost
-    strike = lambda seat: threading.Thread(target=nodes.remove_node, args=(node,), daemon=True).start()  # noqa: E731
+    strike = lambda remote: threading.Thread(target=nodes.remove_node, args=(node,), daemon=True).start()  # noqa: E731
     found, _ = playing(cluster, batch, strike)
     assert_same(found, [*local, *local])
     wait_for(lambda: len([one for one in ray.nodes() if one["Alive"]]) == 1, 60.0)
-    found, _ = playing(cluster, batch, lambda seat: None)
+    found, _ = playing(cluster, batch, lambda remote: None)
     assert_same(found, [*local, *local])
     assert cluster.lost == before + 1, "the actor of the node that is gone"
     nodes.add_node(num_cpus=1, **SMALL)
     wait_for(lambda: cluster.ready == 2, 300.0)
-    assert len({seat.node for seat in cluster._held}) == 2
+    assert len({remote.node for remote in cluster._held}) == 2
 
 
 def test_a_cluster_without_room_says_so(nodes, lab, cluster):

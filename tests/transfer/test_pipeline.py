@@ -182,7 +182,7 @@ def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypat
     assert (killed / policy).read_bytes() == (whole / policy).read_bytes()
     assert not np.array_equal(policy_of(whole).parameters, bent_expert("adroit", job.task)[0].parameters)
     assert report["sim_epochs"] == {"path 1": 12} and report["train_iterations"] == {"path 1": 2}
-    kept = [{name: [phase.take(role) and (phase.take(role).seed, phase.take(role).update) for role in ROLES]
+    kept = [{name: [phase.episode(role) and (phase.episode(role).seed, phase.episode(role).update) for role in ROLES]
              for name, phase in load_phases(folder).items()} for folder in (whole, killed)]
     assert kept[0] == kept[1], "a resumed run keeps the same episodes to be seen"
 

@@ -40,7 +40,7 @@ from toolkit.inspection.recording.viewer import chunks_of
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.quiet import work_quietly
 from toolkit.runs.generators import generator_from_state, generator_state
-from toolkit.runs.phases import FOLDER, Phase, Take, load_phase
+from toolkit.runs.phases import FOLDER, KeptEpisode, Phase, load_phase
 from toolkit.runs.run import Run, read_report, read_tree, transfer_records
 from toolkit.simulation.divergence import Divergence
 
@@ -402,8 +402,8 @@ def _checkpoint(folder: Path, bundle: Path) -> Sample:
 
 def _phase(folder: Path, bundle: Path) -> Sample:
     network = {"parameters": np.zeros(4), "shift": np.zeros(2), "scale": np.ones(2)}
-    takes = [Take(seed, False, True, False, 9, 1.1, 0, 0, np.full(3, 0.5), [role]) for seed, role in enumerate(("first", "last"))]
-    phase = Phase("path 1", 0, "evolve", ["a"], np.zeros(3), np.ones(3), [network], takes)
+    episodes = [KeptEpisode(seed, False, True, False, 9, 1.1, 0, 0, np.full(3, 0.5), [role]) for seed, role in enumerate(("first", "last"))]
+    phase = Phase("path 1", 0, "evolve", ["a"], np.zeros(3), np.ones(3), [network], episodes)
     phase.save(folder)
     return Sample(folder / FOLDER / f"{phase.name}.safetensors", (rot, tensor_header, tensor_state("state")), load_phase)
 

@@ -1,6 +1,6 @@
 """Hostile ticks: wild policies and lying states against the runtime, and every command held against the manifest by another reader of it.
 
-The puppet obeys, more or less, in a world that lies now and then; nothing here waits for a clock. What must hold, tick by tick: the command
+The arm obeys, more or less, in a world that lies now and then; nothing here waits for a clock. What must hold, tick by tick: the command
 is finite and within the manifest's limits, a lie holds the arm in its own tick, what does not pass keeps it held, and it is then stopped.
 """
 
@@ -29,7 +29,7 @@ OBEYED, NOISE, AGE = 0.9, 2e-4, 0.002
 ROUNDING, NEARLY, ALIKE = 1e-9, 1e-6, 1e-12
 """By which a number may pass its limit: a rounding; where it went through a rotation; and between two ways to the same product."""
 RATE = 100.0
-"""[Hz] of the puppet's waypoints."""
+"""[Hz] of the arm's waypoints."""
 
 
 def _rotation(quaternion: tuple[float, ...] | np.ndarray) -> np.ndarray:
@@ -149,7 +149,7 @@ class Checker:
         return np.append(position, vector_of(self._base @ _rotation(row[3:]) @ self._start.T))
 
 
-class Puppet:
+class SimulatedArm:
     """An arm that obeys, more or less, in a world that lies now and then.
 
     Args:
@@ -277,14 +277,14 @@ def hostile_ticks(
     rng, m = np.random.default_rng(seed), bundle.manifest
     info = ArmInfo(m.robot.name, tuple(joint.name for joint in m.joints), m.gripper.joints, FORMS, RATE)
     runtime = Runtime(bundle, info, form, policy or wild_policy(rng))
-    puppet, checker, tally = Puppet(bundle, rng), Checker(bundle, form), HostileTally(form)
+    arm, checker, tally = SimulatedArm(bundle, rng), Checker(bundle, form), HostileTally(form)
     now, alive, latched, held, deck = 0.0, False, False, 0, list[str]()
     while tally.ticks < ticks:
         now += runtime.period
         if not alive:
-            puppet.begin(now)
+            arm.begin(now)
             checker.begin()
-            fault = runtime.begin(puppet.state, now)
+            fault = runtime.begin(arm.state, now)
             if fault is not None:
                 tally.breach(f"a good start is refused: {fault.kind}")
                 return tally
@@ -295,8 +295,8 @@ def hostile_ticks(
             deck = deck or list(rng.permutation(HARMS))
             harm = str(rng.choice(HARMS)) if latched else str(deck.pop())  # every lie comes to an arm that still moves
             tally.lies += 1
-        tick = runtime.tick(puppet.read(now, harm), now, late=harm == "late")
-        for what in (*checker.breaches(tick.command, puppet.state.joints), *_wrong(tick, harm, latched)):
+        tick = runtime.tick(arm.read(now, harm), now, late=harm == "late")
+        for what in (*checker.breaches(tick.command, arm.state.joints), *_wrong(tick, harm, latched)):
             tally.breach(what)
         if tick.fault is not None:
             tally.faults[tick.fault.kind] += 1
@@ -306,7 +306,7 @@ def hostile_ticks(
         if tick.stop != (held > m.watch.hold_ticks):
             tally.breach(f"after {held} held ticks the arm is {'stopped' if tick.stop else 'not stopped'}")
         alive = not tick.stop
-        puppet.obey(tick.command)
+        arm.obey(tick.command)
         tally.ticks += 1
         if tally.ticks % 1000 == 0:
             progress(tally.ticks)

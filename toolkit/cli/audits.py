@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from toolkit.cli.inspection import known_run
+from toolkit.cli.inspection import stored_run
 from toolkit.cli.names import TARGETS, TASK, Kind, Metric, find_pick, make_lab, merged_arms, transfer_config
 from toolkit.cli.terminal import Progress, emit, table
 from toolkit.errors import ToolkitError
@@ -53,8 +53,8 @@ def audit(
             lab = make_lab(source, targets, task)
             merged, ways = merged_arms(lab.merged), ways_of(lab.tree(metric, kind))
         else:
-            known = known_run(run)
-            merged, ways = merged_arms(known.merged), ways_in(known.tree())
+            stored = stored_run(run)
+            merged, ways = merged_arms(stored.merged), ways_in(stored.tree())
         progress.show("audit", f"{len(ways)} edges, {robots} robots each", 0, len(ways), now=True)
         seen = lambda name, done, total: progress.show("audit", name, done, total, now=True)  # noqa: E731
         edges = run_audit(merged, ways, seen, bend, robots=robots, episodes=episodes, causes=causes)

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     import subprocess
 
     from toolkit.inspection.recording.layout import Layout
-    from toolkit.inspection.recording.recordings import Known
+    from toolkit.inspection.recording.recordings import StoredRun
     from toolkit.simulation.laws import Drivable
 
 STILLS, VIDEOS = (".png",), (".mp4", ".gif")
-"""What the viewer saves, and what films are written as."""
+"""What the viewer saves, and what videos are written as."""
 Page = Literal["evolution", "morph", "rollouts", "learning", "summary"]
 
 
@@ -55,7 +55,7 @@ def view(
         size: of the still, WIDTHxHEIGHT.
         out: file for what --compare or --rebuild makes; default: inside the run folder. With --page, or --compare and --at:
             that page as it is at that moment, as a small recording of its own.
-        video: write a run as a film that needs no viewer instead of opening it (MP4 or GIF).
+        video: write a run as a video that needs no viewer instead of opening it (MP4 or GIF).
     """
     if not path or len(path) > 2 or (len(path) == 2 and not compare):
         raise ToolkitError(f"view takes one run folder or .rrd file, and two run folders with --compare; got {len(path)}")
@@ -93,13 +93,13 @@ def view(
 
 
 def _film(run: Path, video: Path, progress: Progress | None = None) -> float:
-    """A run as a film; its length [s]."""
+    """A run as a video; its length [s]."""
     room_for(video, VIDEOS)
-    known = known_run(run)
+    stored = stored_run(run)
     from toolkit.inspection.report.video import write_video
 
     with Progress("video", quiet=False) if progress is None else nullcontext(progress) as line:
-        return write_video(run, known.merged, known.tree(), known.policy, known.native, video, lambda what: line.show("video", what))
+        return write_video(run, stored.merged, stored.tree(), stored.policy, stored.native, video, lambda what: line.show("video", what))
 
 
 def _last(file: Path, at: float | None) -> float | None:
@@ -126,11 +126,11 @@ def _recording(path: Path, rebuild: bool, out: Path | None) -> Path:
     from toolkit.io import claims
 
     file = out or path / "recording.rrd"
-    known = known_run(path)
+    stored = stored_run(path)
     if out is None:  # a running transfer writes that very file
         claims.claim(path, "look at it with --live, or give --out FILE")
     try:
-        print(recordings.rebuild(known, file))
+        print(recordings.rebuild(stored, file))
     finally:
         claims.give_up(path)
     return file
@@ -142,9 +142,9 @@ def _compare(paths: tuple[Path, ...], targets: tuple[str, ...], seed: int, out: 
 
     sides = _sides(paths, targets)
     file = out or paths[0] / f"compare-{'-'.join(targets)}.rrd"
-    films, layout = recordings.compare(sides, file, seed)
+    trajectories, layout = recordings.compare(sides, file, seed)
     labels = [label for label, _, _ in sides]
-    print("; ".join(f"{label}: {film.verdict()}" for label, film in zip(labels, films, strict=True)))
+    print("; ".join(f"{label}: {trajectory.verdict()}" for label, trajectory in zip(labels, trajectories, strict=True)))
     return file, layout
 
 
@@ -193,7 +193,7 @@ def _follow(folder: Path) -> None:
         print("stopped looking; the transfer does not notice")
 
 
-def _begun(folder: Path) -> "Known":
+def _begun(folder: Path) -> "StoredRun":
     """A run as soon as its transfer has its tree."""
     import time
 
@@ -205,10 +205,10 @@ def _begun(folder: Path) -> "Known":
         print(f"waiting for the transfer of {folder} to begin: {why}", flush=True)
     while waits():
         time.sleep(POLL)
-    return known_run(folder)
+    return stored_run(folder)
 
 
-def _follow_running(known: "Known") -> None:
+def _follow_running(stored: "StoredRun") -> None:
     from toolkit.inspection.recording import recordings, viewer
 
     if viewer.has_display():
@@ -218,7 +218,7 @@ def _follow_running(known: "Known") -> None:
         process, address, proxy = _serve()
         print(f"no display here; open {address} in a browser. Ctrl-C ends it.", flush=True)
     try:
-        recordings.follow(known, proxy, until=lambda: process.poll() is not None)
+        recordings.follow(stored, proxy, until=lambda: process.poll() is not None)
         _wait(process, "the run has ended; Ctrl-C ends the viewer")
     finally:
         process.terminate()
@@ -236,7 +236,7 @@ def _wait(process: "subprocess.Popen", text: str) -> None:
         raise ToolkitError(f"the viewer ended by itself with status {status}; see `meta-evolve doctor`")
 
 
-def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str, "Known", str]]:
+def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str, "StoredRun", str]]:
     """(label, run, target) of what is compared."""
     if len(targets) not in (1, 2) or len(paths) * len(targets) < 2:
         raise ToolkitError("compare two targets of a run (RUN --compare A B), or one target of two (RUN RUN --compare A)")
@@ -247,15 +247,15 @@ def _sides(paths: tuple[Path, ...], targets: tuple[str, ...]) -> list[tuple[str,
             raise ToolkitError(f"target {name!r} is not in {path}; it has: {', '.join(known)}")
     every = [name for path in paths for name in transfer_config(path)["targets"]]
     merged = tuple(dict.fromkeys(every))
-    known = {path: known_run(path, merged) for path in paths}
+    stored = {path: stored_run(path, merged) for path in paths}
     labels = [name if len(paths) == 1 else f"{path.name}: {name}" for path, name in pairs]
-    return [(label, known[path], name) for label, (path, name) in zip(labels, pairs, strict=True)]
+    return [(label, stored[path], name) for label, (path, name) in zip(labels, pairs, strict=True)]
 
 
-def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
+def stored_run(folder: Path, targets: tuple[str, ...] | None = None) -> "StoredRun":
     """A run folder with everything needed to play it again."""
     from toolkit.expert.shelf import POLICY_FILE, load_expert
-    from toolkit.inspection.recording.recordings import Known
+    from toolkit.inspection.recording.recordings import StoredRun
     from toolkit.learning.policy import GaussianPolicy
     from toolkit.simulation.laws import native_plant
 
@@ -277,7 +277,7 @@ def known_run(folder: Path, targets: tuple[str, ...] | None = None) -> "Known":
             raise ToolkitError(f"{folder} says `randomise` of a task that has no such conditions; take it out of its config.json")
         return RandomisedRobot(plant, content["randomise"])
 
-    return Known(folder, lab.merged, policy, native, trained)
+    return StoredRun(folder, lab.merged, policy, native, trained)
 
 
 def morph(
@@ -323,15 +323,15 @@ def report(
     Args:
         run: a run folder.
         out: folder of the page; default: RUN/page.
-        video: also write the run as a film (MP4 or GIF).
+        video: also write the run as a video (MP4 or GIF).
         json: print the page's path and its pictures as one JSON object.
     """
     room_for(video, VIDEOS)
-    known = known_run(run)
+    stored = stored_run(run)
     from toolkit.inspection.report.page import write_report
 
     with Progress("report", quiet=json) as progress:
-        page = write_report(run, known.merged, known.tree(), out, lambda what: progress.show("report", what, now=True))
+        page = write_report(run, stored.merged, stored.tree(), out, lambda what: progress.show("report", what, now=True))
         if video is not None:
             _film(run, video, progress)
     pictures = sorted(str(file) for file in page.parent.glob("*.png"))

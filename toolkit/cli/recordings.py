@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
-    from toolkit.demonstrations.rehearsal import Demonstration, Retargeter
+    from toolkit.demonstrations.replay import Demonstration, Retargeter
 
 recordings = tyro.extras.SubcommandApp()
 
@@ -126,7 +126,7 @@ def retarget_recordings(
         json: print one JSON object.
     """
     robot = find_arm(source)
-    from toolkit.demonstrations.rehearsal import Broken, Dropped, Retargeter
+    from toolkit.demonstrations.replay import Broken, Dropped, Retargeter
 
     retargeter = Retargeter(root, robot, frame_rate)
     unknown = [name for name in only if name not in retargeter.names]

@@ -129,7 +129,7 @@ Shown = tuple[Path, float, bool]
 
 def _hands_teach(robot: "Robot", task: "PickTask", shown: Shown | None, config: "ExpertConfig", progress: Progress) -> Training:
     """A pick's expert: taught by a script, or by recordings of hands."""
-    from toolkit.demonstrations.rehearsal import Retargeter, teachers_for
+    from toolkit.demonstrations.replay import Retargeter, teachers_for
     from toolkit.expert.training import train_expert
     from toolkit.simulation.rollout import RolloutEngine
 

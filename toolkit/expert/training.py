@@ -90,7 +90,7 @@ def _with_noise(observations: np.ndarray, script: Script, copies: int, rng: np.r
 
 
 @dataclass(frozen=True, eq=False)
-class _Lessons:
+class _Dataset:
     """What is cloned: states (N, n_obs) that were seen and what the teacher does there (N, n_act).
 
     The first ``shown`` are the steps of the kept demonstrations; noisy copies and visited states follow.
@@ -100,13 +100,13 @@ class _Lessons:
     labels: np.ndarray
     shown: int
 
-    def first(self, rows: int) -> "_Lessons":
+    def first(self, rows: int) -> "_Dataset":
         """The first rows alone."""
-        return _Lessons(self.seen[:rows], self.labels[:rows], self.shown)
+        return _Dataset(self.seen[:rows], self.labels[:rows], self.shown)
 
 
 def _best_teacher(
-    stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Mapping[str, Script], report: Callable[[dict[str, Any]], None]
+    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Mapping[str, Script], report: Callable[[dict[str, Any]], None]
 ) -> str:
     """Name of the teacher that succeeds most often under noise, the quickest of equals; all play the same seeds.
 
@@ -116,7 +116,7 @@ def _best_teacher(
         return next(iter(teachers))
     seeds, marks = range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.trials), {}
     for name, script in teachers.items():
-        played = stage.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
+        played = engine.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
         successes, steps = sum(episode.success for episode in played), float(np.mean([len(episode.rewards) for episode in played]))
         marks[name] = (-successes, steps)
         report({"event": "trial", "teacher": name, "played": len(seeds), "kept": successes, "steps": steps})
@@ -124,29 +124,29 @@ def _best_teacher(
 
 
 def _demonstrate(
-    stage: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, rng: np.random.Generator
-) -> tuple[_Lessons | None, int]:
+    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, rng: np.random.Generator
+) -> tuple[_Dataset | None, int]:
     """Play a teacher, keep what succeeds, label it; None if nothing does. Also how many episodes succeeded."""
     seeds = range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations)
-    played = stage.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
+    played = engine.play(NoisyScript(script, config.noise), [beta] * len(seeds), seeds)
     good = [episode.observations for episode in played if episode.success]
     if not good:
         return None, 0
     observations = np.concatenate(good)
-    return _Lessons(*_with_noise(observations, script, config.copies, rng), len(observations)), len(good)
+    return _Dataset(*_with_noise(observations, script, config.copies, rng), len(observations)), len(good)
 
 
 def _visit(
-    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, policy: GaussianPolicy, lessons: _Lessons,
+    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, policy: GaussianPolicy, dataset: _Dataset,
     round_: int, rng: np.random.Generator,
-) -> tuple[_Lessons, float]:
+) -> tuple[_Dataset, float]:
     """Let the clone play, add what the teacher would have done where it went (Ross et al. 2011, DAgger); its success."""
     first, half = VISIT_SEEDS + round_ * config.visits, config.visits // 2
     seeds = list(range(first, first + config.visits))
     mean = MeanActor(policy)
     played = engine.play(mean, [beta] * half, seeds[:half]) + engine.play(policy.act, [beta] * (config.visits - half), seeds[half:])
     states, wanted = _with_noise(np.concatenate([episode.observations for episode in played]), script, 1, rng)
-    more = replace(lessons, seen=np.concatenate([lessons.seen, states]), labels=np.concatenate([lessons.labels, wanted]))
+    more = replace(dataset, seen=np.concatenate([dataset.seen, states]), labels=np.concatenate([dataset.labels, wanted]))
     return more, float(np.mean([episode.success for episode in played]))
 
 
@@ -245,7 +245,7 @@ class _Training:
         self._report, self._records = report, 0
         self.updates, self.rounds, self.cloned = 0, 0, False
         self.card: dict[str, Any] = {}
-        self.lessons: _Lessons | None = None
+        self.dataset: _Dataset | None = None
 
     def report(self, record: dict[str, Any]) -> None:
         """Tell whoever watches, and the run."""
@@ -256,45 +256,45 @@ class _Training:
 
     def clone(self, source: str, scripts: Mapping[str, Script], counts: dict[str, int]) -> None:
         """Demonstrations, behaviour cloning, and rounds of visiting with a recorded teacher; from where the run was left."""
-        lessons = self._first_lessons(source, scripts, counts) if self.lessons is None else self.lessons
+        dataset = self._first_dataset(source, scripts, counts) if self.dataset is None else self.dataset
         if self.recorded:
-            self._visits(scripts[self.card["teacher"]], lessons)
+            self._visits(scripts[self.card["teacher"]], dataset)
             self.cloned = True
             self.checkpoint()
 
-    def _first_lessons(self, source: str, scripts: Mapping[str, Script], counts: dict[str, int]) -> _Lessons:
+    def _first_dataset(self, source: str, scripts: Mapping[str, Script], counts: dict[str, int]) -> _Dataset:
         """Choose the teacher, let it demonstrate, clone it."""
         config = self.config
         merged = arms_of(self.engine)
         strict = replace(merged.task, goal_tolerance=config.demonstrated_tolerance)
-        stage = RolloutEngine(MergedRobot(merged.space, strict), self.engine.threads)
-        name = _best_teacher(stage, self.beta, config, scripts, self.report)
-        lessons, kept = _demonstrate(stage, self.beta, config, scripts[name], self.rng)
-        stage.close()
+        engine = RolloutEngine(MergedRobot(merged.space, strict), self.engine.threads)
+        name = _best_teacher(engine, self.beta, config, scripts, self.report)
+        dataset, kept = _demonstrate(engine, self.beta, config, scripts[name], self.rng)
+        engine.close()
         self.report({"event": "demonstrations", "played": config.demonstrations, "kept": kept})
-        if lessons is None:
+        if dataset is None:
             kind = "recorded" if self.recorded else "scripted"
             raise ToolkitError(f"none of {config.demonstrations} {kind} demonstrations succeeds on {source}; check its grasp posture")
         self.card = {"demonstrations_kept": kept, "demonstrations": config.demonstrations, **counts}
         if self.recorded:
             self.card["teacher"] = name
         self.cloned = not self.recorded
-        self._learn(lessons, config.cloning)
-        return lessons
+        self._learn(dataset, config.cloning)
+        return dataset
 
     def imitate(self, recorded: Recorded) -> None:
         """Clone the steps of a file's first episodes as they are."""
         rows, kept = int(recorded.lengths[: self.config.demonstrations].sum()), min(len(recorded.lengths), self.config.demonstrations)
         self.report({"event": "demonstrations", "played": len(recorded.lengths), "kept": kept})
         self.card = {"demonstrations_kept": kept, "demonstrations": self.config.demonstrations, "steps": rows}
-        self.lessons = _Lessons(recorded.observations[:rows], recorded.actions[:rows], rows)
-        self._fit(self.lessons, self.config.imitation)
+        self.dataset = _Dataset(recorded.observations[:rows], recorded.actions[:rows], rows)
+        self._fit(self.dataset, self.config.imitation)
         if self.run is not None:
-            self._save_lessons(self.run, self.lessons)  # before the checkpoint that counts on them
+            self._save_dataset(self.run, self.dataset)  # before the checkpoint that counts on them
         self.cloned = True
         self.checkpoint()
 
-    def _visits(self, script: Script, lessons: _Lessons) -> None:
+    def _visits(self, script: Script, dataset: _Dataset) -> None:
         """The clone plays and its teacher says what it would have done, until the clone has mastered the task."""
         config = self.config
         engine = self.engine
@@ -303,22 +303,22 @@ class _Training:
         again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
         while self.rounds < config.rounds:
             round_ = self.rounds + 1
-            lessons, success = _visit(engine, self.beta, config, script, self.policy, lessons, round_, self.rng)
+            dataset, success = _visit(engine, self.beta, config, script, self.policy, dataset, round_, self.rng)
             self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
             if success >= config.mastered:
                 break
             self.rounds = round_
-            self._learn(lessons, again)
+            self._learn(dataset, again)
 
-    def _learn(self, lessons: _Lessons, config: CloningConfig) -> None:
-        self._fit(lessons, config)
-        self.lessons = lessons
+    def _learn(self, dataset: _Dataset, config: CloningConfig) -> None:
+        self._fit(dataset, config)
+        self.dataset = dataset
         self.checkpoint()
 
-    def _fit(self, lessons: _Lessons, config: CloningConfig) -> None:
+    def _fit(self, dataset: _Dataset, config: CloningConfig) -> None:
         seen = lambda epoch, loss: self.report({"event": "cloning", "epoch": epoch, "of": config.epochs, "loss": loss})  # noqa: E731
         floor = self.task.observation.numbers("scale")
-        losses = clone(self.policy, lessons.seen, lessons.labels, config, self.rng, scale_floor=floor, progress=seen)
+        losses = clone(self.policy, dataset.seen, dataset.labels, config, self.rng, scale_floor=floor, progress=seen)
         self.card["cloning_loss"] = losses[-1]
 
     def update(self) -> None:
@@ -334,9 +334,9 @@ class _Training:
 
     def _demonstrations(self) -> Demonstrations | None:
         """What pulls the next update: a recorded teacher's kept demonstrations."""
-        if not self.recorded or self.lessons is None:
+        if not self.recorded or self.dataset is None:
             return None
-        shown = self.lessons.first(self.lessons.shown)
+        shown = self.dataset.first(self.dataset.shown)
         return Demonstrations(shown.seen, shown.labels, self.updates)
 
     def checkpoint(self) -> None:
@@ -347,19 +347,19 @@ class _Training:
         """
         if self.run is None:
             return
-        lessons = self.lessons if self.recorded else None
-        if lessons is not None and not self.cloned:
-            self._save_lessons(self.run, lessons)
+        dataset = self.dataset if self.recorded else None
+        if dataset is not None and not self.cloned:
+            self._save_dataset(self.run, dataset)
         state = {"updates": self.updates, "rounds": self.rounds, "cloned": self.cloned, "card": self.card,
-                 "rows": 0 if lessons is None else len(lessons.seen), "rng": generator_state(self.rng),
+                 "rows": 0 if dataset is None else len(dataset.seen), "rng": generator_state(self.rng),
                  "records": self._records}
         self.run.save_checkpoint("expert", learner_tensors("expert", self.policy, self.value), state)
-        if lessons is not None and self.cloned and self.updates == 0:
-            self._save_lessons(self.run, lessons.first(lessons.shown))  # all that updates need
+        if dataset is not None and self.cloned and self.updates == 0:
+            self._save_dataset(self.run, dataset.first(dataset.shown))  # all that updates need
 
     @staticmethod
-    def _save_lessons(run: Run, lessons: _Lessons) -> None:
-        run.save_checkpoint("lessons", {"seen": lessons.seen, "labels": lessons.labels}, {"shown": lessons.shown})
+    def _save_dataset(run: Run, dataset: _Dataset) -> None:
+        run.save_checkpoint("lessons", {"seen": dataset.seen, "labels": dataset.labels}, {"shown": dataset.shown})
 
     def restore(self) -> None:
         """Go on from the run's checkpoint, if it has one."""
@@ -382,4 +382,4 @@ class _Training:
         self.rng.bit_generator.state = generator_from_state(state["rng"]).bit_generator.state
         if self.recorded and self.run is not None:
             arrays, kept = self.run.load_checkpoint("lessons")
-            self.lessons = _Lessons(arrays["seen"], arrays["labels"], kept["shown"]).first(state["rows"])
+            self.dataset = _Dataset(arrays["seen"], arrays["labels"], kept["shown"]).first(state["rows"])

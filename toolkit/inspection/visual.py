@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.inspection.appearance import Appearance, Mesh, body_mesh, geom_colour, geom_mesh, geom_triangles, weights
-from toolkit.inspection.film import Film, PickFilm
 from toolkit.inspection.furniture import furniture, world_meshes
+from toolkit.inspection.trajectory import PickTrajectory, Trajectory
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.family import MergedModel
 from toolkit.morphology.lab import Merged
@@ -133,7 +133,7 @@ def _joined(frames: list[Motion]) -> Motion:
 
 
 class Visual(ABC):
-    """Turns robots and films into motions.
+    """Turns robots and trajectories into motions.
 
     Attributes:
         meshes: each once.
@@ -156,12 +156,12 @@ class Visual(ABC):
         """Robots F(alpha) at the start, one per frame."""
 
     @abstractmethod
-    def playing(self, film: Film, alpha: np.ndarray) -> Motion:
-        """A film on F(alpha)."""
+    def playing(self, trajectory: Trajectory, alpha: np.ndarray) -> Motion:
+        """A trajectory on F(alpha)."""
 
     @abstractmethod
-    def native(self, film: Film, robot: str) -> Motion:
-        """A film on the unmodified robot of that name."""
+    def native(self, trajectory: Trajectory, robot: str) -> Motion:
+        """A trajectory on the unmodified robot of that name."""
 
 
 def visual_of(merged: Merged) -> Visual:
@@ -209,33 +209,33 @@ class ArmVisual(Visual):
             frames.append(self._frame(model, data, weights(alpha, self.merged.space.betas)))
         return _joined(frames)
 
-    def playing(self, film: Film, alpha: np.ndarray) -> Motion:
-        """A film on F(alpha)."""
-        data = mujoco.MjData(film.model)
+    def playing(self, trajectory: Trajectory, alpha: np.ndarray) -> Motion:
+        """A trajectory on F(alpha)."""
+        data = mujoco.MjData(trajectory.model)
         shares = weights(alpha, self.merged.space.betas)
         frames = []
-        for row in film.qpos:
+        for row in trajectory.qpos:
             data.qpos[:] = row
-            mujoco.mj_kinematics(film.model, data)
-            frames.append(self._frame(film.model, data, shares))
+            mujoco.mj_kinematics(trajectory.model, data)
+            frames.append(self._frame(trajectory.model, data, shares))
         return _joined(frames)
 
-    def native(self, film: Film, robot: str) -> Motion:
-        """A film on the unmodified robosuite robot."""
-        if not isinstance(film, PickFilm):
-            raise TypeError("a film of an arm with a gripper is a PickFilm")
-        data = mujoco.MjData(film.model)
+    def native(self, trajectory: Trajectory, robot: str) -> Motion:
+        """A trajectory on the unmodified robosuite robot."""
+        if not isinstance(trajectory, PickTrajectory):
+            raise TypeError("a trajectory of an arm with a gripper is a PickTrajectory")
+        data = mujoco.MjData(trajectory.model)
         index = self.merged.space.names.index(robot)
         own = [k for k, item in enumerate(self.appearance.instances) if item.robot == index]
         bodies = [self.appearance.instances[k].body for k in own]
-        steps, instances = len(film.qpos), len(self.appearance.instances)
+        steps, instances = len(trajectory.qpos), len(self.appearance.instances)
         positions, quaternions, carried = np.zeros((steps, instances, 3)), np.zeros((steps, instances, 4)), np.empty((steps, 7))
         quaternions[..., 0] = 1.0
-        for frame, row in enumerate(film.qpos):
+        for frame, row in enumerate(trajectory.qpos):
             data.qpos[:] = row
-            mujoco.mj_kinematics(film.model, data)
+            mujoco.mj_kinematics(trajectory.model, data)
             positions[frame, own], quaternions[frame, own] = data.xpos[bodies], data.xquat[bodies]
-            carried[frame] = [*data.xpos[film.object_body], *data.xquat[film.object_body]]
+            carried[frame] = [*data.xpos[trajectory.object_body], *data.xquat[trajectory.object_body]]
         shares = np.zeros((steps, len(self.merged.space.names)))
         shares[:, index] = 1.0
         none = np.empty((steps, 0, 3)), np.empty((steps, 0, 4)), np.empty((steps, 0, 3))
@@ -366,20 +366,20 @@ class ModelVisual(Visual):
             frames.append(self._frame(model, data, self._shares(alpha)))
         return _joined(frames)
 
-    def playing(self, film: Film, alpha: np.ndarray) -> Motion:
-        """A film on F(alpha)."""
-        model, data = film.model, mujoco.MjData(film.model)
-        model.body_pos[:], model.site_pos[:] = film.body_pos, film.site_pos  # a later episode may have moved them
+    def playing(self, trajectory: Trajectory, alpha: np.ndarray) -> Motion:
+        """A trajectory on F(alpha)."""
+        model, data = trajectory.model, mujoco.MjData(trajectory.model)
+        model.body_pos[:], model.site_pos[:] = trajectory.body_pos, trajectory.site_pos  # a later episode may have moved them
         shares, frames = self._shares(alpha), []
-        for row in film.qpos:
+        for row in trajectory.qpos:
             data.qpos[:] = row
             mujoco.mj_kinematics(model, data)
             frames.append(self._frame(model, data, shares))
         return _joined(frames)
 
-    def native(self, film: Film, robot: str) -> Motion:
-        """A film on the unmodified robot, whose model has the same elements."""
-        return self.playing(film, self.merged.space.beta(robot))
+    def native(self, trajectory: Trajectory, robot: str) -> Motion:
+        """A trajectory on the unmodified robot, whose model has the same elements."""
+        return self.playing(trajectory, self.merged.space.beta(robot))
 
     def pose(self, motion: Motion, frame: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Write a motion's frame into a model of these robots, to be drawn: sizes, and what mj_kinematics computes of geoms and sites."""

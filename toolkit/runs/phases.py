@@ -30,8 +30,8 @@ _STATE = {
 
 
 @dataclass
-class Take:
-    """An episode worth seeing.
+class KeptEpisode:
+    """An episode worth seeing, as what determines it; "take" in the files, which every run folder has.
 
     Attributes:
         seed: of the start and of the noise.  noise: whether the policy explored (training) or not (checking).
@@ -61,8 +61,8 @@ class Phase:
         path: "path 1", ...  number: from 0 on each path.  stage: "evolve" or "settle".
         targets: that the path leads to.
         start: (D,) where it began.  end: (D,) where it ended, None while it goes on.
-        policies: networks of the takes: "parameters", "shift", "scale".
-        takes: the episodes worth seeing, in the order in which they were played.
+        policies: networks of the episodes: "parameters", "shift", "scale".
+        episodes: those worth seeing, in the order in which they were played.
     """
 
     path: str
@@ -72,26 +72,26 @@ class Phase:
     start: np.ndarray
     end: np.ndarray | None = None
     policies: list[dict[str, np.ndarray]] = field(default_factory=list)
-    takes: list[Take] = field(default_factory=list)
+    episodes: list[KeptEpisode] = field(default_factory=list)
 
     @property
     def name(self) -> str:
         """File name without suffix."""
         return f"{self.path.replace(' ', '-')}-{self.number:03d}-{self.stage}"
 
-    def take(self, role: str) -> Take | None:
+    def episode(self, role: str) -> KeptEpisode | None:
         """The episode kept for a role."""
-        return next((take for take in self.takes if role in take.roles), None)
+        return next((kept for kept in self.episodes if role in kept.roles), None)
 
     def save(self, run: Path) -> None:
         """Write the phase into a run folder, whole or not at all."""
         tensors = {"start": self.start} | ({} if self.end is None else {"end": self.end})
         for index, policy in enumerate(self.policies):
             tensors |= {f"policy.{index}.{key}": value for key, value in policy.items()}
-        for index, take in enumerate(self.takes):
-            tensors[f"take.{index}.alpha"] = take.alpha
+        for index, kept in enumerate(self.episodes):
+            tensors[f"take.{index}.alpha"] = kept.alpha
         state = {key: getattr(self, key) for key in ("path", "number", "stage", "targets")}
-        state["takes"] = [{k: v for k, v in asdict(take).items() if k != "alpha"} for take in self.takes]
+        state["takes"] = [{k: v for k, v in asdict(kept).items() if k != "alpha"} for kept in self.episodes]
         folder = run / FOLDER
         try:
             folder.mkdir(exist_ok=True)
@@ -100,14 +100,14 @@ class Phase:
         except OSError as error:
             raise ToolkitError(f"{folder} cannot be written ({error.strerror}); free space or permissions there") from None
 
-    def play_as(self, take: Take, model: GaussianPolicy) -> GaussianPolicy:
-        """The policy that played a take; ``model`` has the same networks and is left as it is.
+    def policy_of(self, kept: KeptEpisode, model: GaussianPolicy) -> GaussianPolicy:
+        """The policy that played an episode; ``model`` has the same networks and is left as it is.
 
         Raises:
             ToolkitError: its networks are of another size.
         """
         policy = model.copy()
-        stored = self.policies[take.policy]
+        stored = self.policies[kept.policy]
         policy.set_parameters(stored["parameters"])
         policy.set_normalisation(stored["shift"], stored["scale"])
         return policy
@@ -123,20 +123,20 @@ def load_phase(file: Path) -> Phase:
     try:
         state, tensors = read_tensors(file, "phase", "state", "delete it")
         require(state, _STATE, str(file), "delete it")
-        takes = [Take(**take, alpha=tensors[f"take.{index}.alpha"]) for index, take in enumerate(state.pop("takes"))]
-        used = sorted({take.policy for take in takes})
-        if any(isinstance(take.score, bool) or not isinstance(take.score, int | float) for take in takes):  # -inf is a score
+        episodes = [KeptEpisode(**kept, alpha=tensors[f"take.{index}.alpha"]) for index, kept in enumerate(state.pop("takes"))]
+        used = sorted({kept.policy for kept in episodes})
+        if any(isinstance(kept.score, bool) or not isinstance(kept.score, int | float) for kept in episodes):  # -inf is a score
             raise refuse("a score is no number")
-        if used != list(range(len(used))) or any(set(take.roles) - set(ROLES) or not take.roles for take in takes):
+        if used != list(range(len(used))) or any(set(kept.roles) - set(ROLES) or not kept.roles for kept in episodes):
             raise refuse("its episodes name policies or roles that it does not have")
         keys = ("parameters", "shift", "scale")
         policies = [{key: tensors[f"policy.{index}.{key}"] for key in keys} for index in used]
-        phase = Phase(**state, start=tensors["start"], end=tensors.get("end"), policies=policies, takes=takes)
+        phase = Phase(**state, start=tensors["start"], end=tensors.get("end"), policies=policies, episodes=episodes)
     except (KeyError, TypeError) as error:
         raise refuse(error) from None
     except ToolkitError as error:
         raise error if "or not a phase" in str(error) else refuse(error) from None
-    shapes = {array.shape for array in (phase.start, *([] if phase.end is None else [phase.end]), *(take.alpha for take in takes))}
+    shapes = {array.shape for array in (phase.start, *([] if phase.end is None else [phase.end]), *(kept.alpha for kept in episodes))}
     if phase.name != file.stem or len(shapes) > 1 or phase.start.ndim != 1:
         raise refuse("it is another phase's, or its robots are of different sizes")
     return phase
@@ -153,14 +153,14 @@ def load_phases(run: Path, tell: Callable[[str], None] = lambda why: None) -> di
     return found
 
 
-def landmarks(scenes: Sequence[tuple[Phase, Take]]) -> list[tuple[Phase, Take]]:
+def landmarks(scenes: Sequence[tuple[Phase, KeptEpisode]]) -> list[tuple[Phase, KeptEpisode]]:
     """Of all episodes that are kept, in order: of every path the first, the first failure, the best, the worst and the last."""
     found = []
     for path in dict.fromkeys(phase.path for phase, _ in scenes):
         own = {role: [scene for scene in scenes if scene[0].path == path and role in scene[1].roles] for role in ROLES}
         chosen = [own["first"][:1], own["failure"][:1], own["last"][-1:]]
         chosen += [sorted(own["best"], key=lambda scene: -scene[1].score)[:1], sorted(own["worst"], key=lambda scene: scene[1].score)[:1]]
-        picked = {id(take) for some in chosen for _, take in some}
+        picked = {id(kept) for some in chosen for _, kept in some}
         found += [scene for scene in scenes if id(scene[1]) in picked]
     return found
 
@@ -229,32 +229,32 @@ class PhaseRecorder:
 
     def _judge(self, phase: Phase, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> None:
         value = score(episode, self._miss)
-        same = next((take for take in phase.takes if self._is(phase, take, policy, episode, noise, update)), None)
-        best, worst = phase.take("best"), phase.take("worst")
+        same = next((kept for kept in phase.episodes if self._is(phase, kept, policy, episode, noise, update)), None)
+        best, worst = phase.episode("best"), phase.episode("worst")
         roles = ["last"]
         if same is None:
-            roles += ["first"] if phase.take("first") is None else []
-            roles += ["failure"] if not episode.success and phase.take("failure") is None else []
+            roles += ["first"] if phase.episode("first") is None else []
+            roles += ["failure"] if not episode.success and phase.episode("failure") is None else []
             roles += ["best"] if best is None or value > best.score else []
             roles += ["worst"] if worst is None or value < worst.score else []
-        for take in phase.takes:
-            take.roles = [role for role in take.roles if role not in roles]
+        for kept in phase.episodes:
+            kept.roles = [role for role in kept.roles if role not in roles]
         if same is not None:
             same.roles.append("last")
         else:
             index = self._policy(phase, policy)
-            phase.takes.append(
-                Take(episode.seed, noise, episode.success, episode.diverged, episode.steps, value, update, index,
-                     np.array(episode.alpha), sorted(roles, key=ROLES.index))
+            phase.episodes.append(
+                KeptEpisode(episode.seed, noise, episode.success, episode.diverged, episode.steps, value, update, index,
+                            np.array(episode.alpha), sorted(roles, key=ROLES.index))
             )
         self._drop_unused(phase)
 
     @staticmethod
-    def _is(phase: Phase, take: Take, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> bool:
-        """Whether the take is this episode; a mirrored pair differs in its policies alone."""
-        if (take.seed, take.noise, take.update) != (episode.seed, noise, update) or not np.array_equal(take.alpha, episode.alpha):
+    def _is(phase: Phase, kept: KeptEpisode, policy: GaussianPolicy, episode: Episode, noise: bool, update: int) -> bool:
+        """Whether what is kept is this episode; a mirrored pair differs in its policies alone."""
+        if (kept.seed, kept.noise, kept.update) != (episode.seed, noise, update) or not np.array_equal(kept.alpha, episode.alpha):
             return False
-        played = phase.policies[take.policy]
+        played = phase.policies[kept.policy]
         return np.array_equal(played["parameters"], policy.parameters) and np.array_equal(played["shift"], policy.layers().shift)
 
     @staticmethod
@@ -269,8 +269,8 @@ class PhaseRecorder:
 
     @staticmethod
     def _drop_unused(phase: Phase) -> None:
-        phase.takes = [take for take in phase.takes if take.roles]
-        used = sorted({take.policy for take in phase.takes})
+        phase.episodes = [kept for kept in phase.episodes if kept.roles]
+        used = sorted({kept.policy for kept in phase.episodes})
         phase.policies = [phase.policies[index] for index in used]
-        for take in phase.takes:
-            take.policy = used.index(take.policy)
+        for kept in phase.episodes:
+            kept.policy = used.index(kept.policy)

@@ -89,7 +89,7 @@ class Player:
 
 
 @dataclass(eq=False)
-class _Seat:
+class _RemoteActor:
     """An actor, and the node where it is."""
 
     actor: Any
@@ -123,7 +123,7 @@ class Cluster:
         engine.close()
         self._actor = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Player)
         self._idle: SimpleQueue = SimpleQueue()
-        self._held: list[_Seat] = []
+        self._held: list[_RemoteActor] = []
         self._changing, self._closed = threading.Lock(), threading.Event()
         self._refusal = ""
         self.asked = self.ready = self.lost = 0
@@ -156,17 +156,17 @@ class Cluster:
         """
         errors, lost = self._ray.exceptions, 0
         while lost < ATTEMPTS:
-            seat = self.borrow()
+            remote = self.borrow()
             try:
-                answer = self._ray.get(getattr(seat.actor, method).remote(*arguments), timeout=self.patience)
+                answer = self._ray.get(getattr(remote.actor, method).remote(*arguments), timeout=self.patience)
             except errors.RayTaskError as error:
-                self.give_back(seat)
+                self.give_back(remote)
                 raise error.cause if isinstance(error.cause, ToolkitError) else error from None
             except (errors.RayError, ConnectionError):
-                lost += self._lives(seat.node)  # a node's end is no episode's fault
-                self.lose(seat)
+                lost += self._lives(remote.node)  # a node's end is no episode's fault
+                self.lose(remote)
             else:
-                self.give_back(seat)
+                self.give_back(remote)
                 return answer
         raise ToolkitError(
             f"{ATTEMPTS} actors of the Ray cluster at {self.address} were lost in turn with the episode of seed {arguments[-1]}; look at "
@@ -182,7 +182,7 @@ class Cluster:
         finally:
             pool.shutdown(cancel_futures=True)
 
-    def borrow(self) -> _Seat:
+    def borrow(self) -> _RemoteActor:
         """An actor that has nothing to do.
 
         Raises:
@@ -219,18 +219,18 @@ class Cluster:
                 )
             time.sleep(0.05)
 
-    def give_back(self, seat: _Seat) -> None:
+    def give_back(self, remote: _RemoteActor) -> None:
         """The actor has nothing to do any more."""
-        self._idle.put(seat)
+        self._idle.put(remote)
 
-    def lose(self, seat: _Seat) -> None:
+    def lose(self, remote: _RemoteActor) -> None:
         """The actor has died or is late: another one is asked for."""
         with self._changing:
             self.ready -= 1
             self.lost += 1
             self._alive = time.monotonic()
         if not self._closed.is_set():
-            self._drop(seat)
+            self._drop(remote)
             self._begin()
 
     def close(self) -> None:
@@ -238,8 +238,8 @@ class Cluster:
         self._closed.set()
         with self._changing:
             held, self._held = self._held, []
-        for seat in held:
-            self._ray.kill(seat.actor)
+        for remote in held:
+            self._ray.kill(remote.actor)
         if self._ours:
             self._ray.shutdown()
 
@@ -249,10 +249,10 @@ class Cluster:
         except (self._ray.exceptions.RayError, ConnectionError):
             return False  # the head has gone, and all else with it
 
-    def _drop(self, seat: _Seat) -> None:
+    def _drop(self, remote: _RemoteActor) -> None:
         with self._changing:
-            self._held = [other for other in self._held if other is not seat]
-        self._ray.kill(seat.actor)
+            self._held = [other for other in self._held if other is not remote]
+        self._ray.kill(remote.actor)
 
     def _begin(self) -> None:
         threading.Thread(target=self._bring_up, daemon=True).start()
@@ -260,20 +260,20 @@ class Cluster:
     def _bring_up(self) -> None:
         """Wait until an actor has room and is ready, however often it dies before that; refuse one that differs."""
         while not self._closed.is_set():
-            seat = _Seat(self._actor.remote(self.lab.source, self.lab.targets, self.lab.task))
+            remote = _RemoteActor(self._actor.remote(self.lab.source, self.lab.targets, self.lab.task))
             with self._changing:
-                self._held.append(seat)
+                self._held.append(remote)
             try:
-                answer = seat.actor.identity.remote()
+                answer = remote.actor.identity.remote()
                 while not self._ray.wait([answer], timeout=0.5)[0]:
                     if self._closed.is_set():
                         return
-                seat.node, machine, theirs = self._ray.get(answer, timeout=self.patience)
+                remote.node, machine, theirs = self._ray.get(answer, timeout=self.patience)
             except (self._ray.exceptions.RayError, ConnectionError) as error:
                 if isinstance(error, self._ray.exceptions.RayTaskError) or "creation task" in str(error):
                     self._refusal = f"an actor on the Ray cluster at {self.address} cannot begin ({_sentence(error)}); mend that node"
                     return
-                self._drop(seat)
+                self._drop(remote)
                 self._closed.wait(1.0)
                 continue
             differing = [key for key, value in self._own.items() if theirs.get(key) != value]
@@ -282,7 +282,7 @@ class Cluster:
                 return
             with self._changing:
                 self.ready += 1
-            self._idle.put(seat)
+            self._idle.put(remote)
             return
 
     def _difference(self, machine: str, theirs: dict[str, Any], key: str) -> str:

@@ -69,7 +69,7 @@ class HandRecording:
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
-        self._puppets = {entity: Puppet(stream, entity) for entity in ("retargeted", "replay")}
+        self._models = {entity: AnimatedModel(stream, entity) for entity in ("retargeted", "replay")}
         stream.arrange(_layout())
 
     def log_clips(self, clips: Sequence[Clip]) -> None:
@@ -78,8 +78,8 @@ class HandRecording:
         for number, clip in enumerate(clips):
             ends = [self._log_recorded(clip, start, number)]
             first = start + clip.frame_dt * float(clip.hand_frames[0])
-            ends.append(self._puppets["retargeted"].play(clip.hand, clip.hand_qpos, clip.frame_dt, first, number))
-            ends.append(self._puppets["replay"].play(clip.replay, clip.replay_qpos, clip.control_dt, start, number))
+            ends.append(self._models["retargeted"].play(clip.hand, clip.hand_qpos, clip.frame_dt, first, number))
+            ends.append(self._models["replay"].play(clip.replay, clip.replay_qpos, clip.control_dt, start, number))
             self._label("retargeted", "robot hand", clip, start, number)
             self._label("replay", f"replay: {clip.verdict}", clip, start, number)
             start = max(ends) + PAUSE
@@ -116,7 +116,7 @@ class HandRecording:
         self._stream.row(f"{entity}/label", start, number, mark)
 
 
-class Puppet:
+class AnimatedModel:
     """Any MuJoCo model as meshes, one per body, each logged once.
 
     Args:

@@ -15,18 +15,18 @@ import rerun.blueprint as rrb
 
 from toolkit.errors import ToolkitError
 from toolkit.inspection.drawn_tree import Plan
-from toolkit.inspection.film import shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, Extent, alpha_extent, evolution_views
 from toolkit.inspection.recording.layout import Eye, page_timeline, pages_layout
 from toolkit.inspection.recording.learning import LearningPage, learning_views
 from toolkit.inspection.recording.rollouts import RolloutsPage, rollouts_views
 from toolkit.inspection.recording.scene import Scene, scene_views
 from toolkit.inspection.recording.stream import Stream
+from toolkit.inspection.trajectory import replay
 from toolkit.inspection.visual import visual_of
 from toolkit.io.quoting import markdown, told
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
-from toolkit.runs.phases import FOLDER, Phase, Take, landmarks, load_phase
+from toolkit.runs.phases import FOLDER, KeptEpisode, Phase, landmarks, load_phase
 from toolkit.simulation.laws import Drivable, merged_plant
 
 MORPH_RATE = 20.0
@@ -97,8 +97,8 @@ class RunRecorder:
         self._native, self._plants = native, {}
         self.clock, self.iteration = 0.0, 0
         self._paths: dict[str, dict[str, Any]] = {}  # path -> targets, phases ended, last success
-        self._waiting: list[tuple[Phase, Take]] = []
-        self._known: list[tuple[Phase, Take]] = []
+        self._waiting: list[tuple[Phase, KeptEpisode]] = []
+        self._known: list[tuple[Phase, KeptEpisode]] = []
         self._shown: set[str] = set()  # names of phases
         self._longest = 0.0
         self._visual = visual_of(merged)
@@ -210,9 +210,9 @@ class RunRecorder:
             self.rollouts.caption(float(times[0]), self.iteration, f"**{markdown(path)}**, phase {phase.number}: the robot moves on.")
             self.clock = float(times[-1]) + PAUSE
         self.evolution.walked(self.clock, self.iteration, phase.start, end, phase.targets, success)
-        self._known += [(phase, take) for take in phase.takes]
-        self._waiting += [(phase, take) for take in sorted(phase.takes, key=_priority if self.share is not None else _in_order)]
-        self.cost.known += len(phase.takes)
+        self._known += [(phase, kept) for kept in phase.episodes]
+        self._waiting += [(phase, kept) for kept in sorted(phase.episodes, key=_priority if self.share is not None else _in_order)]
+        self.cost.known += len(phase.episodes)
 
     def _stand(self, times: np.ndarray, alphas: np.ndarray, targets: list[str], label: str) -> None:
         self.scene.clear_act(float(times[0]), self.iteration)
@@ -234,32 +234,33 @@ class RunRecorder:
 
     def _play_landmarks(self) -> None:
         """Whatever the share: every path has something to watch, also of a run that was too quick to draw while it went on."""
-        waiting = {id(take) for _, take in self._waiting}
-        for phase, take in landmarks(self._known):
-            if id(take) in waiting and (self.stream.path is None or self.stream.path.stat().st_size <= SIZE_LIMIT):
-                self._play(phase, take)
+        waiting = {id(kept) for _, kept in self._waiting}
+        for phase, kept in landmarks(self._known):
+            if id(kept) in waiting and (self.stream.path is None or self.stream.path.stat().st_size <= SIZE_LIMIT):
+                self._play(phase, kept)
 
-    def _play(self, phase: Phase, take: Take) -> None:
-        plant = self._plant(phase, take)
+    def _play(self, phase: Phase, kept: KeptEpisode) -> None:
+        plant = self._plant(phase, kept)
         if plant is None:
             return
-        policy = phase.play_as(take, self.policy)
-        actor = policy.act if take.noise else MeanActor(policy)
-        film = shoot(plant, actor, take.seed, take.alpha)
-        times = self.clock + film.interval * np.arange(len(film.qpos))
-        motion = self._visual.playing(film, take.alpha) if phase.stage == "evolve" else self._visual.native(film, phase.targets[0])
+        policy = phase.policy_of(kept, self.policy)
+        actor = policy.act if kept.noise else MeanActor(policy)
+        trajectory = replay(plant, actor, kept.seed, kept.alpha)
+        times = self.clock + trajectory.interval * np.arange(len(trajectory.qpos))
+        evolving = phase.stage == "evolve"
+        motion = self._visual.playing(trajectory, kept.alpha) if evolving else self._visual.native(trajectory, phase.targets[0])
         self.scene.show(times, self.iteration, [motion])
-        self.scene.act(times, self.iteration, [film])
-        self.scene.label(float(times[0]), self.iteration, [f"{phase.path}, phase {phase.number}: {', '.join(take.roles)}"])
-        self.rollouts.act(times, self.iteration, film)
-        self.rollouts.caption(float(times[0]), self.iteration, self._caption(phase, take, film.verdict()))
-        self.evolution.visit(times[:1], self.iteration, take.alpha[None], phase.targets)
+        self.scene.act(times, self.iteration, [trajectory])
+        self.scene.label(float(times[0]), self.iteration, [f"{phase.path}, phase {phase.number}: {', '.join(kept.roles)}"])
+        self.rollouts.act(times, self.iteration, trajectory)
+        self.rollouts.caption(float(times[0]), self.iteration, self._caption(phase, kept, trajectory.verdict()))
+        self.evolution.visit(times[:1], self.iteration, kept.alpha[None], phase.targets)
         self.clock = float(times[-1]) + PAUSE
         self.cost.drawn += 1
 
-    def _plant(self, phase: Phase, take: Take) -> Drivable | None:
+    def _plant(self, phase: Phase, kept: KeptEpisode) -> Drivable | None:
         if phase.stage == "evolve":
-            return merged_plant(self.merged, take.alpha, *self.merged.new())
+            return merged_plant(self.merged, kept.alpha, *self.merged.new())
         if self._native is None:
             return None
         name = phase.targets[0]
@@ -267,15 +268,15 @@ class RunRecorder:
             self._plants[name] = self._native(name)
         return self._plants[name]
 
-    def _caption(self, phase: Phase, take: Take, verdict: str) -> str:
-        edge = self.plan.way_of(phase.targets, take.alpha)
+    def _caption(self, phase: Phase, kept: KeptEpisode, verdict: str) -> str:
+        edge = self.plan.way_of(phase.targets, kept.alpha)
         where = markdown(", ".join(phase.targets))
         if edge:
-            where = f"{self.plan.fraction(edge, take.alpha):.0%} of {markdown(edge['from'])} to {markdown(edge['to'])}"
+            where = f"{self.plan.fraction(edge, kept.alpha):.0%} of {markdown(edge['from'])} to {markdown(edge['to'])}"
         robot = f"F(alpha) at {where}" if phase.stage == "evolve" else f"the unmodified {markdown(phase.targets[0])}"
-        played = f"exploring, after {take.update} updates" if take.noise else "without noise"
-        return (f"**{markdown(phase.path)}, phase {phase.number} ({markdown(phase.stage)})**: {', '.join(take.roles)} episode on {robot}, "
-                f"seed {take.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")
+        played = f"exploring, after {kept.update} updates" if kept.noise else "without noise"
+        return (f"**{markdown(phase.path)}, phase {phase.number} ({markdown(phase.stage)})**: {', '.join(kept.roles)} episode on {robot}, "
+                f"seed {kept.seed}, {played}.\n\n**{verdict[0].upper()}{verdict[1:]}.**")
 
 
 def run_layout(
@@ -301,12 +302,12 @@ def run_layout(
     return pages_layout(views, page, page_timeline(page))
 
 
-def _priority(take: Take) -> tuple[int, int]:
+def _priority(kept: KeptEpisode) -> tuple[int, int]:
     """A running transfer shows failures first, and as few episodes as possible of what works."""
     order = ("failure", "last", "worst", "first", "best")
-    return min(order.index(role) for role in take.roles), take.update
+    return min(order.index(role) for role in kept.roles), kept.update
 
 
-def _in_order(take: Take) -> int:
-    return take.update
+def _in_order(kept: KeptEpisode) -> int:
+    return kept.update
 

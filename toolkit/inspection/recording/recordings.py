@@ -14,7 +14,6 @@ import rerun.blueprint as rrb
 from tasks.pick import PickTask
 from toolkit.errors import ToolkitError
 from toolkit.inspection.drawn_tree import Plan
-from toolkit.inspection.film import Film, shoot
 from toolkit.inspection.recording.evolution import EvolutionPage, alpha_extent, evolution_views, recorded_extent
 from toolkit.inspection.recording.layout import Layout, pages_layout, quiet_layout, robot_view
 from toolkit.inspection.recording.learning import flat_curves
@@ -23,11 +22,12 @@ from toolkit.inspection.recording.rollouts import RolloutsPage, recorded_pick, r
 from toolkit.inspection.recording.scene import Scene, recorded_framing, scene_views
 from toolkit.inspection.recording.stream import FILM, Stream
 from toolkit.inspection.recording.viewer import chunks_of
+from toolkit.inspection.trajectory import Trajectory, replay
 from toolkit.inspection.visual import AT_THE_TABLE, Framing, visual_of
 from toolkit.io.quoting import markdown
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
-from toolkit.runs.phases import Phase, Take
+from toolkit.runs.phases import KeptEpisode, Phase
 from toolkit.runs.run import Run, continuing, read_tree, transfer_records
 from toolkit.runs.seeds import CHECKING_SEEDS
 from toolkit.simulation.laws import Drivable
@@ -37,7 +37,7 @@ POLL = 1.0
 
 
 @dataclass(frozen=True)
-class Known:
+class StoredRun:
     """What it takes to play a run again.
 
     Attributes:
@@ -70,23 +70,23 @@ class Known:
         return tree
 
 
-def rebuild(known: Known, out: Path | None = None) -> Cost:
+def rebuild(stored: StoredRun, out: Path | None = None) -> Cost:
     """Make a run's recording anew, from the run folder alone.
 
     Args:
-        known: the run.
+        stored: the run.
         out: the file; default: the run's recording.rrd, replaced when the new one is whole.
     """
-    path = out or known.folder / "recording.rrd"
+    path = out or stored.folder / "recording.rrd"
     temporary = path.with_name(f".{path.stem}.new.rrd")
-    tree = known.tree()
-    run = Run.open(known.folder)
+    tree = stored.tree()
+    run = Run.open(stored.folder)
     records = transfer_records(run)
-    recorder = RunRecorder(Stream(temporary), known.folder, known.merged, tree, known.policy, known.native, records=records)
+    recorder = RunRecorder(Stream(temporary), stored.folder, stored.merged, tree, stored.policy, stored.native, records=records)
     if recorder.cost.known == 0:
-        for phase in _last_phases(known):
+        for phase in _last_phases(stored):
             recorder.append(phase)
-    recorder.summary(_summary(known.folder, records))
+    recorder.summary(_summary(stored.folder, records))
     cost = recorder.finish()
     os.replace(temporary, path)
     return cost
@@ -99,23 +99,23 @@ def page_layout(folder: Path, recording: Path, page: str | None, excerpt: bool =
     return run_layout(Plan(read_tree(folder)), recorded_extent(chunks), eyes, recorded_pick(chunks), page, excerpt, flat_curves(chunks))
 
 
-def follow(known: Known, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
+def follow(stored: StoredRun, viewer: str, until: Callable[[], bool] = lambda: False) -> None:
     """Tell a running transfer to a viewer, record by record, until it has its report.
 
     Args:
-        known: the run.
+        stored: the run.
         viewer: address of a viewer's proxy.
         until: asked between two looks; True ends it.
     """
-    recorder = RunRecorder(Stream(viewer), known.folder, known.merged, known.tree(), known.policy, known.native)
+    recorder = RunRecorder(Stream(viewer), stored.folder, stored.merged, stored.tree(), stored.policy, stored.native)
     told = 0
     while not until():
-        records = transfer_records(Run.open(known.folder))
+        records = transfer_records(Run.open(stored.folder))
         for record in records[told:]:
             recorder.tell(record)
         told = max(told, len(records))  # a resumed transfer drops records, and writes the very same again
-        if (known.folder / "report.json").exists():
-            recorder.summary(_summary(known.folder, records))
+        if (stored.folder / "report.json").exists():
+            recorder.summary(_summary(stored.folder, records))
             break
         time.sleep(POLL)
     recorder.finish()
@@ -152,7 +152,7 @@ def morph(merged: Merged, source: str, targets: Sequence[str], path: Path, tree:
     stream.close()
 
 
-def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> tuple[list[Film], Layout]:
+def compare(sides: Sequence[tuple[str, StoredRun, str]], path: Path, seed: int) -> tuple[list[Trajectory], Layout]:
     """The final policies of two targets, or of two runs, side by side in one scene, from the same seed on the unmodified robots.
 
     Args:
@@ -170,25 +170,25 @@ def compare(sides: Sequence[tuple[str, Known, str]], path: Path, seed: int) -> t
     offsets = [np.array([0.0, visual.framing.apart * (k - middle), 0.0]) for k in range(len(sides))]
     pages = [RolloutsPage(stream, merged, _side(k)) for k in range(len(sides))]
     scene = Scene(stream, visual, pages[0].tolerance, offsets)
-    films, motions = [], []
-    for _, known, target in sides:
-        if target not in known.trained:
-            raise ToolkitError(f"{known.folder} has no policy for {target!r} yet; it has: {', '.join(known.trained) or 'none'}")
-        policy, beta = known.trained[target], merged.space.beta(target)
-        film = shoot(known.native(target), MeanActor(policy), seed, beta)
-        films.append(film)
-        motions.append(visual.native(film, target))
+    trajectories, motions = [], []
+    for _, stored, target in sides:
+        if target not in stored.trained:
+            raise ToolkitError(f"{stored.folder} has no policy for {target!r} yet; it has: {', '.join(stored.trained) or 'none'}")
+        policy, beta = stored.trained[target], merged.space.beta(target)
+        trajectory = replay(stored.native(target), MeanActor(policy), seed, beta)
+        trajectories.append(trajectory)
+        motions.append(visual.native(trajectory, target))
     layout = partial(_compare_layout, [label for label, _, _ in sides], visual.framing, pages[0].pick)
     stream.arrange(layout(False))
-    times = films[0].interval * np.arange(max(len(film.qpos) for film in films))
+    times = trajectories[0].interval * np.arange(max(len(trajectory.qpos) for trajectory in trajectories))
     scene.show(times, 0, motions)
-    scene.act(times, 0, films)
-    scene.label(0.0, 0, [f"{label}: {film.verdict()}" for (label, _, _), film in zip(sides, films, strict=True)])
-    for page, (label, _, _), film in zip(pages, sides, films, strict=True):
-        page.act(times[: len(film.qpos)], 0, film)
-        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise: **{film.verdict()}.**")
+    scene.act(times, 0, trajectories)
+    scene.label(0.0, 0, [f"{label}: {trajectory.verdict()}" for (label, _, _), trajectory in zip(sides, trajectories, strict=True)])
+    for page, (label, _, _), trajectory in zip(pages, sides, trajectories, strict=True):
+        page.act(times[: len(trajectory.qpos)], 0, trajectory)
+        page.caption(0.0, 0, f"**{markdown(label)}**, seed {seed}, without noise: **{trajectory.verdict()}.**")
     stream.close()
-    return films, layout
+    return trajectories, layout
 
 
 def _compare_layout(labels: Sequence[str], framing: Framing, pick: bool, excerpt: bool) -> rrb.Blueprint:
@@ -205,15 +205,16 @@ def _side(k: int) -> str:
     return f"side-{k + 1}"
 
 
-def _last_phases(known: Known) -> Iterator[Phase]:
+def _last_phases(stored: StoredRun) -> Iterator[Phase]:
     """For a run without phases (an older version's): the straight way to each target, and two episodes at its end."""
-    source = known.merged.space.betas[0]
-    for name, policy in known.trained.items():
-        beta = known.merged.space.beta(name)
+    source = stored.merged.space.betas[0]
+    for name, policy in stored.trained.items():
+        beta = stored.merged.space.beta(name)
         layers = policy.layers()
-        stored = {"parameters": policy.parameters, "shift": np.array(layers.shift), "scale": np.array(layers.scale)}
-        takes = [Take(CHECKING_SEEDS + k, False, False, False, 0, 0.0, 0, 0, beta, [role]) for k, role in enumerate(("first", "last"))]
-        yield Phase(f"to {name}", 0, "evolve", [name], source, beta, [stored], takes)
+        network = {"parameters": policy.parameters, "shift": np.array(layers.shift), "scale": np.array(layers.scale)}
+        episodes = [KeptEpisode(CHECKING_SEEDS + k, False, False, False, 0, 0.0, 0, 0, beta, [role])
+                    for k, role in enumerate(("first", "last"))]
+        yield Phase(f"to {name}", 0, "evolve", [name], source, beta, [network], episodes)
 
 
 def _summary(folder: Path, records: list[dict[str, Any]]) -> str:

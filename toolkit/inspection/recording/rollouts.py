@@ -16,8 +16,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
 from tasks.pick import PickTask
-from toolkit.inspection.film import Film, PickFilm, closing_action
 from toolkit.inspection.recording.stream import Stream
+from toolkit.inspection.trajectory import PickTrajectory, Trajectory, closing_action
 from toolkit.morphology.lab import Merged
 
 BLUE, ORANGE, GREEN, VERMILION, GREY, SKY, PINK = (
@@ -77,28 +77,29 @@ class RolloutsPage:
         for key, names in named.items():
             stream.static(f"{self.root}/{key}", rr.SeriesLines(names=names))
 
-    def act(self, times: np.ndarray, iteration: int, film: Film) -> None:
-        """The curves of a film whose frames stand at times (T + 1,) [s]."""
-        after = times[1 : len(film.qpos)]
+    def act(self, times: np.ndarray, iteration: int, trajectory: Trajectory) -> None:
+        """The curves of a trajectory whose frames stand at times (T + 1,) [s]."""
+        after = times[1 : len(trajectory.qpos)]
         if len(after) == 0:
             return
         gap = times[len(after)] + 1e-3  # a line would otherwise run on to the next episode
-        for key, values in (self._of_pick(film) if self.pick else self._of_model(film)).items():
+        for key, values in (self._of_pick(trajectory) if self.pick else self._of_model(trajectory)).items():
             ended = np.concatenate([values, np.full((1, values.shape[1]), np.nan)])
             columns = rr.Scalars.columns(scalars=ended.ravel()).partition([values.shape[1]] * len(ended))
             self.stream.rows(f"{self.root}/{key}", np.append(after, gap), iteration, columns)
 
-    def _of_model(self, film: Film) -> dict[str, np.ndarray]:
+    def _of_model(self, trajectory: Trajectory) -> dict[str, np.ndarray]:
         """Curve -> (T, lines)."""
-        return {"joints": film.qpos[1:, self._joints], "action": np.clip(film.actions, -1, 1), "reward": film.rewards[:, None]}
+        actions, rewards = np.clip(trajectory.actions, -1, 1), trajectory.rewards[:, None]
+        return {"joints": trajectory.qpos[1:, self._joints], "action": actions, "reward": rewards}
 
-    def _of_pick(self, film: PickFilm) -> dict[str, np.ndarray]:
+    def _of_pick(self, trajectory: PickTrajectory) -> dict[str, np.ndarray]:
         """Curve -> (T, lines)."""
-        position = np.concatenate([film.target, film.grasp[1:]], axis=1)
-        action = np.concatenate([np.clip(film.actions[:, :6], -1, 1), np.clip(closing_action(film.actions), -1, 1)[:, None]], axis=1)
-        distance = np.stack([film.distance[1:], np.full(len(film.rewards), self.tolerance)], axis=1)
-        reward = np.stack([film.rewards, film.closing], axis=1)
-        return {"position": position, "action": action, "distance": distance, "grip": film.grip[:, None], "reward": reward}
+        position = np.concatenate([trajectory.target, trajectory.grasp[1:]], axis=1)
+        action = np.clip(np.column_stack([trajectory.actions[:, :6], closing_action(trajectory.actions)]), -1, 1)
+        distance = np.stack([trajectory.distance[1:], np.full(len(trajectory.rewards), self.tolerance)], axis=1)
+        reward = np.stack([trajectory.rewards, trajectory.closing], axis=1)
+        return {"position": position, "action": action, "distance": distance, "grip": trajectory.grip[:, None], "reward": reward}
 
     def caption(self, time: float, iteration: int, text: str) -> None:
         """What is seen from now on, as Markdown."""

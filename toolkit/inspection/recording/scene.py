@@ -15,10 +15,10 @@ import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
 from toolkit.inspection.appearance import Mesh
-from toolkit.inspection.film import Film, PickFilm
 from toolkit.inspection.furniture import opacity
 from toolkit.inspection.recording.layout import Eye, robot_view
 from toolkit.inspection.recording.stream import Stream, x_first
+from toolkit.inspection.trajectory import PickTrajectory, Trajectory
 from toolkit.inspection.visual import Motion, Part, Primitives, Visual, held
 
 FAINT = 0.02
@@ -76,22 +76,23 @@ class Scene:
             carried = np.stack([motion.carried for motion in motions], axis=1)
             self.stream.rows("scene/object", times, iteration, _poses(carried[..., :3], carried[..., 3:]))
 
-    def act(self, times: np.ndarray, iteration: int, films: Sequence[Film]) -> None:
-        """Draw what else films show that ``show`` has drawn the robots of: of picks goals, trails, targets and contacts."""
-        if not all(isinstance(film, PickFilm) for film in films):
+    def act(self, times: np.ndarray, iteration: int, trajectories: Sequence[Trajectory]) -> None:
+        """Draw what else trajectories show that ``show`` has drawn the robots of: of picks goals, trails, targets and contacts."""
+        if not all(isinstance(trajectory, PickTrajectory) for trajectory in trajectories):
             return
-        goals = [film.goal + offset for film, offset in zip(films, self.offsets, strict=True)]
-        begin, sizes = float(times[0]), [[self.tolerance] * 3] * len(films)
+        pairs = list(zip(trajectories, self.offsets, strict=True))
+        goals = [each.goal + offset for each, offset in pairs]
+        begin, sizes = float(times[0]), [[self.tolerance] * 3] * len(trajectories)
         self.stream.row("scene/goal", begin, iteration, rr.Ellipsoids3D.from_fields(centers=goals, half_sizes=sizes))
-        trails = [film.grasp + offset for film, offset in zip(films, self.offsets, strict=True)]
+        trails = [each.grasp + offset for each, offset in pairs]
         self.stream.row("scene/trail", begin, iteration, rr.LineStrips3D.from_fields(strips=trails))
         steps = len(times) - 1
         if steps < 1:
             return
-        aims = np.stack([held(film.target, steps) + offset for film, offset in zip(films, self.offsets, strict=True)], axis=1)
-        columns = rr.Points3D.columns(positions=aims.reshape(-1, 3)).partition([len(films)] * steps)
+        aims = np.stack([held(each.target, steps) + offset for each, offset in pairs], axis=1)
+        columns = rr.Points3D.columns(positions=aims.reshape(-1, 3)).partition([len(trajectories)] * steps)
         self.stream.rows("scene/target", times[1:], iteration, columns)
-        self._touches(times, iteration, films)
+        self._touches(times, iteration, trajectories)
 
     def clear_act(self, time: float, iteration: int) -> None:
         """Take away what belongs to an episode."""
@@ -144,11 +145,12 @@ class Scene:
         self.stream.rows(f"scene/robot/{name}", times, iteration,
                          archetype.columns(**columns).partition([part[0].shape[1]] * len(times)))
 
-    def _touches(self, times: np.ndarray, iteration: int, films: Sequence[Film]) -> None:
+    def _touches(self, times: np.ndarray, iteration: int, trajectories: Sequence[Trajectory]) -> None:
+        pairs = list(zip(trajectories, self.offsets, strict=True))
         origins, vectors, lengths = [], [], []
         for step in range(len(times) - 1):
-            points = [film.points[step] + offset for film, offset in zip(films, self.offsets, strict=True) if step < len(film.points)]
-            forces = [film.forces[step] for film in films if step < len(film.forces)]
+            points = [each.points[step] + offset for each, offset in pairs if step < len(each.points)]
+            forces = [each.forces[step] for each in trajectories if step < len(each.forces)]
             origins += points
             vectors += forces
             lengths.append(sum(len(point) for point in points))

@@ -221,7 +221,7 @@ def _trouble(phases: dict[str, Phase]) -> str:
     """The phases with failures among the episodes that are kept."""
     rows = []
     for phase in phases.values():
-        failure = phase.take("failure")
+        failure = phase.episode("failure")
         if failure is not None:
             kind = "exploring" if failure.noise else "without noise"
             first = f"seed {failure.seed}, {kind}, after {failure.update} updates"

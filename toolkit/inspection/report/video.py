@@ -1,4 +1,4 @@
-"""A run as a film that plays anywhere: every path's robots turning into one another, then its episodes worth seeing.
+"""A run as a video that plays anywhere: every path's robots turning into one another, then its episodes worth seeing.
 
 MP4 with VP9, which every browser plays and which OpenCV, robosuite's own dependency, writes without a program beside it; or GIF.
 """
@@ -13,13 +13,13 @@ import numpy as np
 from PIL import Image
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.film import Film, PickFilm, shoot
 from toolkit.inspection.report.stills import ArmRenderer, ModelRenderer, renderer_of, write_on
+from toolkit.inspection.trajectory import PickTrajectory, Trajectory, replay
 from toolkit.inspection.visual import Motion, Visual, visual_of
 from toolkit.io.jsonfiles import read_object, require
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
-from toolkit.runs.phases import Phase, Take, landmarks, load_phases
+from toolkit.runs.phases import KeptEpisode, Phase, landmarks, load_phases
 from toolkit.runs.run import read_report
 from toolkit.simulation.laws import Drivable, merged_plant
 
@@ -32,7 +32,7 @@ LETTERS = 74
 TURNING, REST = 3.0, 0.8
 """[s] of a path's robots turning into one another, and of a picture that stands still."""
 GIF_EVERY, GIF_WIDTH = 2, 480
-"""A GIF has every second picture, smaller: it is ten times larger than a film otherwise."""
+"""A GIF has every second picture, smaller: it is ten times larger than an MP4 otherwise."""
 GIF_COLOURS, GIF_SAMPLES = 96, 24
 """Colours of a GIF's palette, and pictures that it is made from."""
 
@@ -41,10 +41,10 @@ def write_video(
     folder: Path, merged: Merged, tree: dict[str, Any], policy: GaussianPolicy, native: Callable[[str], Drivable], out: Path,
     progress: Callable[[str], None] = lambda what: None,
 ) -> float:
-    """Write a run folder as a film.
+    """Write a run folder as a video.
 
     Args:
-        folder: the run's; one that goes on, or was stopped, gives a film as far as it went.
+        folder: the run's; one that goes on, or was stopped, gives a video as far as it went.
         merged: its merged robot in its task.
         tree: as in tree.json.
         policy: any policy of its networks.
@@ -60,10 +60,10 @@ def write_video(
     """
     phases = sorted(load_phases(folder).values(), key=lambda phase: (phase.path, phase.number, phase.stage))
     if not phases:
-        raise ToolkitError(f"{folder} keeps no phases to show (an older version's run, or none yet); transfer anew to have a film")
+        raise ToolkitError(f"{folder} keeps no phases to show (an older version's run, or none yet); transfer anew to have a video")
     visual = visual_of(merged)
     renderer = renderer_of(visual, SIZE, near=False)
-    scenes = _scenes(_Stage(folder, merged, policy, native, visual), phases, progress)
+    scenes = _scenes(_Player(folder, merged, policy, native, visual), phases, progress)
     pictures = (picture for scene in scenes for picture in _drawn(renderer, *scene))
     try:
         count = _write_gif(out, pictures) if out.suffix.lower() == ".gif" else _write_mp4(out, pictures)
@@ -72,7 +72,7 @@ def write_video(
     return count / RATE
 
 
-class _Stage:
+class _Player:
     """What it takes to play a run's scenes; arguments as of ``write_video``."""
 
     def __init__(
@@ -89,36 +89,36 @@ class _Stage:
         alphas = np.stack([np.interp(spots, reach, corners[:, k]) for k in range(corners.shape[1])], axis=1)
         return self.visual.standing(np.clip(alphas, 0.0, 1.0))
 
-    def episode(self, phase: Phase, take: Take) -> tuple[Motion, Film]:
+    def episode(self, phase: Phase, kept: KeptEpisode) -> tuple[Motion, Trajectory]:
         """An episode played again: its robot, and what happened."""
-        policy = phase.play_as(take, self.policy)
-        actor = policy.act if take.noise else MeanActor(policy)
+        policy = phase.policy_of(kept, self.policy)
+        actor = policy.act if kept.noise else MeanActor(policy)
         if phase.stage == "evolve":
-            film = shoot(merged_plant(self.merged, take.alpha, *self.merged.new()), actor, take.seed, take.alpha)
-            return self.visual.playing(film, take.alpha), film
+            trajectory = replay(merged_plant(self.merged, kept.alpha, *self.merged.new()), actor, kept.seed, kept.alpha)
+            return self.visual.playing(trajectory, kept.alpha), trajectory
         name = phase.targets[0]
         if name not in self._plants:
             self._plants[name] = self.native(name)
-        film = shoot(self._plants[name], actor, take.seed, take.alpha)
-        return self.visual.native(film, name), film
+        trajectory = replay(self._plants[name], actor, kept.seed, kept.alpha)
+        return self.visual.native(trajectory, name), trajectory
 
 
-def _frames(film: Film) -> list[int]:
+def _frames(trajectory: Trajectory) -> list[int]:
     """Which frames make an episode as fast as it was."""
-    return np.arange(0.0, len(film.qpos), 1.0 / (RATE * film.interval)).astype(int).tolist()
+    return np.arange(0.0, len(trajectory.qpos), 1.0 / (RATE * trajectory.interval)).astype(int).tolist()
 
 
 Scene = tuple[Motion, np.ndarray | None, str, Iterator[int]]
 """Robots, goal or None, caption, and which of the robots' frames are shown."""
 
 
-def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None]) -> Iterator[Scene]:
+def _scenes(player: _Player, phases: list[Phase], progress: Callable[[str], None]) -> Iterator[Scene]:
     rest = [0] * int(RATE * REST)
-    names = stage.merged.space.names
-    report = read_report(stage.folder, ("targets",))
-    source = stage.visual.standing(stage.merged.space.betas[:1])
-    yield source, None, f"{names[0]}, the source, to {', '.join(names[1:])}\n{_untrained(stage.folder)}", iter(rest * 3)
-    every = landmarks([(phase, take) for phase in phases for take in phase.takes])
+    names = player.merged.space.names
+    report = read_report(player.folder, ("targets",))
+    source = player.visual.standing(player.merged.space.betas[:1])
+    yield source, None, f"{names[0]}, the source, to {', '.join(names[1:])}\n{_untrained(player.folder)}", iter(rest * 3)
+    every = landmarks([(phase, kept) for phase in phases for kept in phase.episodes])
     shown = [scene for scene in every if {"first", "failure", "last"} & set(scene[1].roles)]
     learned = False
     for path in dict.fromkeys(phase.path for phase in phases):
@@ -127,17 +127,17 @@ def _scenes(stage: _Stage, phases: list[Phase], progress: Callable[[str], None])
         goals = ", ".join(own[-1].targets)
         progress(f"{path}, to {goals}")
         if evolving:
-            motion = stage.turning(evolving)
+            motion = player.turning(evolving)
             yield motion, None, f"{path}: the robot turns, on its way to {goals}", iter([*range(len(motion.weights)), *[-1] * len(rest)])
-        for phase, take in [scene for scene in shown if scene[0].path == path]:
-            motion, film = stage.episode(phase, take)
-            goal = film.goal if isinstance(film, PickFilm) else None
+        for phase, kept in [scene for scene in shown if scene[0].path == path]:
+            motion, trajectory = player.episode(phase, kept)
+            goal = trajectory.goal if isinstance(trajectory, PickTrajectory) else None
             where = f"a robot on the way to {goals}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
-            learned = learned or take.update > 0
-            trained = f"after {take.update} updates there" if take.update else "as it came there" if learned else "untrained"
-            yield motion, goal, f"{path}: {where}, {trained}\n{film.verdict()}", iter([*_frames(film), *[-1] * len(rest)])
+            learned = learned or kept.update > 0
+            trained = f"after {kept.update} updates there" if kept.update else "as it came there" if learned else "untrained"
+            yield motion, goal, f"{path}: {where}, {trained}\n{trajectory.verdict()}", iter([*_frames(trajectory), *[-1] * len(rest)])
     for name, both in ((report or {}).get("targets") or {}).items():
-        motion = stage.visual.standing(stage.merged.space.beta(name)[None])
+        motion = player.visual.standing(player.merged.space.beta(name)[None])
         counts = f"{both['native']['successes']} of {both['native']['episodes']} unseen starts"
         yield motion, None, f"{name}: success on {counts}, on the unmodified robot", iter(rest * 2)
 

@@ -18,7 +18,7 @@ from toolkit.simulation.watching import Watcher
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Trajectory:
     """T steps, T + 1 frames.
 
     Attributes:
@@ -52,7 +52,7 @@ class Film:
 
 
 @dataclass(frozen=True, eq=False)
-class PickFilm(Film):
+class PickTrajectory(Trajectory):
     """A film of an arm with a gripper that picks an object.
 
     Attributes:
@@ -141,8 +141,8 @@ class _PickRecorder(_Recorder):
             self.notes[key].append(value)
 
 
-def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
-    """Play an episode again; of an arm at its table a PickFilm.
+def replay(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Trajectory:
+    """Play an episode again; of an arm at its table a PickTrajectory.
 
     Args:
         plant, actor, seed, alpha: as the episode had them.
@@ -159,8 +159,8 @@ def shoot(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray) -> Film:
         "diverged": episode.diverged,
     }
     if not isinstance(recorder, _PickRecorder):
-        return Film(**told)
-    return PickFilm(
+        return Trajectory(**told)
+    return PickTrajectory(
         **told, object_body=recorder.object_body, grasp=array("grasp", frames), target=array("target", frames - 1).reshape(-1, 3),
         carried=array("carried", frames), goal=np.array(plant.goal), closing=array("closing", frames - 1),
         points=notes["points"][: frames - 1], forces=notes["forces"][: frames - 1], by_robot=notes["by_robot"][: frames - 1],
