@@ -114,6 +114,14 @@ def test_who_drops_the_object_is_stopped_and_who_only_sees_it_fall_is_not(bundle
     assert not found.met and found.outcome.startswith("stopped: object_lost"), found
 
 
+def test_a_jaco_whose_fingers_jam_on_the_table_does_not_spin(task):
+    """Held once on its way down, it comes to the table where its wrist's motor cannot push as much as it should; its other joints then
+    turned about the grasp at 0.9 rad/s, and it was stopped for that."""
+    jaco, twin = load_bundle("jaco"), Direct(Twin(ROBOTS["jaco"], task, "lockstep"))
+    found = trial(jaco, twin, twin.connect(), "pose", harm_named("one state 0.3 s old"), onsets(jaco)["moving"], EVALUATION_SEEDS)
+    assert found.met and found.seen == "stale_state" and found.outcome == "success", found
+
+
 def test_a_frozen_arm_is_held_where_a_tick_of_motion_ends(bundle, arm):
     for form in ("osc", "pose", "joint"):
         found = trial(bundle, arm, arm.connect(), form, harm_named("whole state frozen, fresh stamp"), 6, EVALUATION_SEEDS)

@@ -15,6 +15,7 @@ from toolkit.deploy.drivers.stamps import DeviceClock
 from toolkit.deploy.faults import COMPLAINT, VENDOR_HARMS, harms_for, trials
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.mocks import VENDORS, SimulatedClock, mocked
+from toolkit.errors import ToolkitError
 from toolkit.runs.seeds import EVALUATION_SEEDS
 
 PLAYED = ("nothing", "nothing new comes, nor a stamp", "frozen but for encoder noise", "joints in degrees", "a joint missing",
@@ -155,6 +156,13 @@ def test_what_was_imported_before_is_there_again(bundle, monkeypatch):
         with mocked(bundle, name):
             assert sys.modules["franky" if name == "franka" else "rtde_control"] is not mine
     assert sys.modules["franky"] is mine and "rtde_control" not in sys.modules
+
+
+def test_an_arm_whose_angles_a_vendor_cannot_tell_is_refused():
+    """A Jaco's joints go beyond half a turn: the second starts at 3.9 rad, which Kortex would tell as -2.4."""
+    with pytest.raises(ToolkitError, match="kortex tells angles from -pi to pi, and joint j2s7s300_joint_1 of jaco goes from -6.28 to"):
+        with mocked(load_bundle("jaco"), "kortex"):
+            pass
 
 
 def test_a_clockless_vendor_has_no_wrong_clock():

@@ -21,7 +21,7 @@ from toolkit.deploy.drivers.sim import SimDriver
 from toolkit.deploy.runtime import Runtime, TickLog, play, rehearse, wilson_interval
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import Evaluation
-from toolkit.export.twin import WATCHDOG, Twin
+from toolkit.export.twin import WATCHDOG, Twin, saturated
 
 ROOT = Path(__file__).parents[2]
 BLOCKED = ("torch", "robosuite", "rerun", "pinocchio", "numba", "onnx", "safetensors", "gymnasium_robotics", "matplotlib")
@@ -191,6 +191,19 @@ def test_nobody_at_the_other_end():
 
 def osc(delta, grip=0.0, hold=False):
     return Command("osc", hold, np.asarray(delta, float), np.zeros(0), grip, 1.0, 0.08)
+
+
+def test_a_push_that_is_too_much_for_a_motor_keeps_its_direction():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        limit = rng.uniform(1, 30, 7)
+        carry, push = rng.uniform(-0.9, 0.9, 7) * limit, rng.normal(0, 30, 7)
+        torque = saturated(carry, push, limit)
+        share = (torque - carry) / push
+        assert (np.abs(torque) <= limit + 1e-9).all() and np.ptp(share) < 1e-9 and 0.0 <= share[0] <= 1.0 + 1e-9
+        assert share[0] > 1.0 - 1e-9 or (np.abs(torque) > limit - 1e-9).any(), "no motor is at its limit, and yet it pushes less"
+    over = saturated(np.array([5.0, 0.0]), np.array([1.0, 1.0]), np.array([4.0, 4.0]))
+    np.testing.assert_allclose(over, [4.0, 0.0])
 
 
 def test_the_twin_moves_as_robosuites_own_step_does(twin, native):

@@ -533,6 +533,7 @@ class Vendor:
         lag: time constant [s] of the arm behind it.
         clock: whether states carry a device's time.  complains: whether the arm itself can report a fault.
         threads: that the driver, once connected, feeds or hears the arm by.
+        turn: whether it tells angles within a turn, from -pi to pi.
     """
 
     package: Callable[[MockArm], dict[str, types.ModuleType]]
@@ -541,12 +542,13 @@ class Vendor:
     clock: bool = True
     complains: bool = True
     threads: int = 1
+    turn: bool = False
 
 
 VENDORS: dict[VendorName, Vendor] = {
     "ur": Vendor(ur_package, ("pose", "joint"), ur.LOOKAHEAD / 2),
     "franka": Vendor(franka_package, ("pose", "joint"), 0.5 / franka.RATE, threads=0),
-    "kortex": Vendor(kortex_package, ("joint",), 0.5 / kortex.RATE, clock=False),
+    "kortex": Vendor(kortex_package, ("joint",), 0.5 / kortex.RATE, clock=False, turn=True),
     "ros2": Vendor(ros2_package, ("joint",), 1.0 / ros2.RATE, complains=False),
 }
 """Lags: half of a UR's smoothing time, half a period of the others' commands: the mean age of what a servo of that rate has been told."""
@@ -559,10 +561,17 @@ class MockedDriver:
     Args:
         bundle: whose arm stands there, whoever makes it.
         name: of the vendor.
+
+    Raises:
+        ToolkitError: a joint's angles are none that the vendor can tell.
     """
 
     def __init__(self, bundle: Bundle, name: VendorName) -> None:
         self.vendor, self.name, self._bundle = VENDORS[name], name, bundle
+        beyond = [joint for joint in bundle.manifest.joints if max(abs(joint.low or 0.0), abs(joint.high or 0.0)) > math.pi]
+        if self.vendor.turn and beyond:
+            raise ToolkitError(f"{name} tells angles from -pi to pi, and joint {beyond[0].name} of {bundle.manifest.robot.name} goes from "
+                               f"{beyond[0].low:.2f} to {beyond[0].high:.2f} rad; take another driver")
         self.clock = SimulatedClock()
         self.now, self.sleep = self.clock.now, self.clock.sleep
         self.arm = MockArm(bundle, self.vendor.lag, self.clock)

@@ -204,24 +204,24 @@ class Twin:
             return
         row = command.waypoints[min(self._since * len(command.waypoints) // self.substeps, len(command.waypoints) - 1)]
         speed = np.zeros_like(command.rate) if still or self._since >= self.substeps else command.rate
-        torque = self._follow_joints(row, speed) if command.form == "joint" else self._follow_pose(row, speed)
-        self.data.ctrl[self._motors] = np.clip(torque, -self._limit, self._limit)
+        carry, push = self._follow_joints(row, speed) if command.form == "joint" else self._follow_pose(row, speed)
+        self.data.ctrl[self._motors] = saturated(carry, push, self._limit)
 
     def _mass(self) -> np.ndarray:
         full = np.zeros((self.model.nv, self.model.nv))
         mujoco.mj_fullM(self.model, full, self.data.qM)
         return full[np.ix_(self._dofs, self._dofs)]
 
-    def _follow_joints(self, target: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Torques (n,) of a computed-torque servo towards angles (n,) [rad] moving at ``speed``."""
+    def _follow_joints(self, target: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Torques (n,) of a computed-torque servo towards angles (n,) [rad] moving at ``speed``: what carries the arm, what pushes it."""
         data = self.data
         away = target - data.qpos[self._qpos]
         away = np.where(self._endless, (away + np.pi) % (2 * np.pi) - np.pi, away)  # the shorter way, as arms without end go
         push = SERVO_KP * away + 2 * np.sqrt(SERVO_KP) * (speed - data.qvel[self._dofs])
-        return self._mass() @ push + data.qfrc_bias[self._dofs]
+        return data.qfrc_bias[self._dofs], self._mass() @ push
 
-    def _follow_pose(self, target: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """Torques (n,) of the same servo in Cartesian space, towards a pose (7,) in the base frame.
+    def _follow_pose(self, target: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same torques of a servo in Cartesian space, towards a pose (7,) in the base frame.
 
         A redundant arm divides the motion among its joints by their inertia, as under robosuite's controller (the dynamically
         consistent inverse of Khatib 1987): the joint speeds that the manifest allows are those of that division.
@@ -239,7 +239,18 @@ class Twin:
         yielding = np.linalg.solve(mass, jacobian.T)
         inverse = yielding @ np.linalg.pinv(jacobian @ yielding)
         posture = 10.0 * (self._posture - data.qpos[self._qpos]) - 2 * np.sqrt(10.0) * data.qvel[self._dofs]
-        return mass @ (inverse @ push + posture - inverse @ (jacobian @ posture)) + data.qfrc_bias[self._dofs]
+        return mass @ (posture - inverse @ (jacobian @ posture)) + data.qfrc_bias[self._dofs], mass @ (inverse @ push)
+
+
+def saturated(carry: np.ndarray, push: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Torques (n,) [N m] within their limits (n,): as large a share of ``push`` beside ``carry`` as every motor has room for.
+
+    Where a motor is at its limit the arm so gives way along its push. Clipped each for itself, torques push elsewhere: a Jaco whose
+    fingers were jammed on the table spun about its grasp, faster and faster, as it was held.
+    """
+    carry = np.clip(carry, -limit, limit)
+    room = (limit - np.sign(push) * carry) / np.maximum(np.abs(push), 1e-9)
+    return carry + min(1.0, float(room.min())) * push
 
 
 PATIENCE = 30.0
