@@ -265,8 +265,8 @@ def export(run: str | Path, target: str, out: str | Path) -> "Manifest":
 
     content, policies, _ = trained_policies(Path(run), target)
     policy, robot, task = policies[target], find_arm(target), find_pick(content["task"])
-    label = label_of(Path(run), robot, task, policy)
-    return write_bundle(policy, robot, task, content, lineage_of(Path(run), target), label, Path(out))
+    lineage = lineage_of(Path(run), target)  # before the label's episodes: a damaged run is told of at once
+    return write_bundle(policy, robot, task, content, lineage, label_of(Path(run), robot, task, policy), Path(out))
 
 
 def make_env(robot: "str | System" = "kinova3", task: "str | Task" = TASK, render_mode: str | None = None) -> "gymnasium.Env":

@@ -107,7 +107,7 @@ def test_commands_on_a_run_whose_config_says_something_else(tmp_path, capsys, mo
 @pytest.mark.parametrize("command", [("report",), ("export", "--target", "kinova3", "--out", "o")])
 @pytest.mark.parametrize("file, text", [("report.json", "[]"), ("tree.json", "[]"), ("metrics.jsonl", "[]\n"), ("metrics.jsonl", "{}\n")])
 def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monkeypatch, command, file, text):
-    """Of real robots, so that the command comes as far as these files."""
+    """Of real robots, so that the command comes as far as these files; and that before an episode is played."""
     if (command[0], file) == ("export", "metrics.jsonl"):
         return  # an export asks no records
     from toolkit.cli import inspection
@@ -128,6 +128,7 @@ def test_commands_on_a_run_whose_files_say_something_else(tmp_path, capsys, monk
             return read_tree(run.path)
 
     monkeypatch.setattr(inspection, "stored_run", lambda folder: StoredRun())
+    monkeypatch.setattr("toolkit.export.labels.evaluate_native", lambda *_, **__: pytest.fail("an export played before it read the run"))
     (run.path / file).write_text(text)
     with pytest.raises(SystemExit) as stop:
         main([command[0], str(run.path), *command[1:]])

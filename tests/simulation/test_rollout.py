@@ -31,18 +31,28 @@ FIELDS = (
 pytestmark = pytest.mark.usefixtures("log_elsewhere")
 
 
+@pytest.fixture(scope="module")
+def space(pair):
+    return pair.space
+
+
+@pytest.fixture(scope="module")
+def merged(pair):
+    return pair.merged
+
+
 def noisy(observation, rng):
     """The script with a policy's noise on top: reads the observation and draws from the episode's own generator."""
     return PickScript()(observation) + 0.3 * rng.standard_normal(ACTION_SIZE)
 
 
 def batch(space):
-    """(alphas, seeds): every robot and the points between, each twice."""
+    """(alphas, seeds): both robots, one between and one anywhere, each twice."""
     rng = np.random.default_rng(0)
     alphas = [
         space.beta("adroit"),
         space.beta("kinova3"),
-        0.5 * (space.beta("adroit") + space.beta("iiwa")),
+        0.5 * (space.beta("adroit") + space.beta("kinova3")),
         rng.random(space.size),
     ]
     return [*alphas, *alphas], [0, 1, 2, 3, 10, 11, 12, 13]
@@ -197,7 +207,7 @@ def test_the_first_divergence_of_a_batch_is_dumped_and_blows_up_again(dump, unst
 
 def test_the_steps_of_a_replay_are_those_of_the_episode(unstable, space):
     """One step of physics at a time is the same motion as all of a policy step at once, to the last bit."""
-    whole, parts = (merged_plant(unstable, space.beta("iiwa"), *unstable.new()) for _ in range(2))
+    whole, parts = (merged_plant(unstable, space.beta("kinova3"), *unstable.new()) for _ in range(2))
     action = np.full(ACTION_SIZE, 0.3)
     whole.begin(3)
     parts.begin(3)
@@ -212,14 +222,14 @@ def test_the_steps_of_a_replay_are_those_of_the_episode(unstable, space):
 def test_a_later_divergence_leaves_the_dump_alone(dump, unstable, space):
     file, saved, _ = dump
     engine = RolloutEngine(unstable, threads=1, dump=file)
-    (episode,) = engine.play(wild, [space.beta("iiwa")], [77])
+    (episode,) = engine.play(wild, [space.beta("kinova3")], [77])
     engine.close()
     assert Divergence.load(file).seed == saved.seed
 
 
 def test_a_policy_that_returns_nan_is_named(merged, space, tmp_path):
     engine = RolloutEngine(merged, threads=1, dump=tmp_path / "divergence.npz")
-    engine.play(lambda observation, rng: np.full(ACTION_SIZE, np.nan), [space.beta("jaco")], [4])
+    engine.play(lambda observation, rng: np.full(ACTION_SIZE, np.nan), [space.beta("kinova3")], [4])
     engine.close()
     saved = Divergence.load(tmp_path / "divergence.npz")
     found = replay(merged_plant(merged, saved.alpha, *merged.new()), saved)

@@ -47,10 +47,11 @@ def export(run: Annotated[Path, tyro.conf.Positional], target: str, out: Path, s
     from toolkit.export.packing import write_bundle
 
     robot, task = find_arm(target), find_pick(content["task"])
+    lineage = lineage_of(run, target)  # before the label's episodes: a damaged run is told of at once
     holds = holds_of(stressed, run / f"{target}.policy.safetensors", target, task.name) if stressed else ()
     with Progress("export", quiet=json) as progress:
         label = label_of(run, robot, task, policies[target], progress.count(f"{target}, unmodified", LABEL_EPISODES))
-        manifest = write_bundle(policies[target], robot, task, content, lineage_of(run, target), label, out,
+        manifest = write_bundle(policies[target], robot, task, content, lineage, label, out,
                                 lambda what: progress.show(f"export {target}", what, now=True), key=sign, holds=holds)
     emit(manifest.to_json(), json, f"{out} and {out}.zip: ONNX against NumPy {manifest.golden.onnx_max_abs_error:.1e}; prove it with: "
                                    + told("verify", out))
