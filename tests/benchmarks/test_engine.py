@@ -113,6 +113,7 @@ def test_memory_does_not_grow_with_episodes(merged, space):
     assert grown < 4096, f"{grown} KiB more after 400 episodes"
 
 
+@pytest.mark.slow
 def test_the_report_keeps_its_contract(merged, expert):
     measured = measure_engine([ROBOTS["kinova3"]], merged, expert.act, episodes=0, rounds=1, scale=False)
     found = json.loads(json.dumps(measured, allow_nan=False))

@@ -74,6 +74,7 @@ def test_the_fuzzer_finds_readers_that_break(tmp_path, monkeypatch):
     assert tally.first.startswith("file ")
 
 
+@pytest.mark.slow
 def test_the_figures_are_printed_by_a_command(capsys):
     main(["bench", "fuzz", "--formats", "report.json", "golden.npz", "--files", "15", "--json"])
     found = json.loads(capsys.readouterr().out)["formats"]
@@ -197,6 +198,7 @@ def test_a_number_without_end_deep_in_the_manifest(tmp_path, entry):
         load_bundle(packed(tmp_path / "b.zip", files, rehash=False))
 
 
+@pytest.mark.slow
 def test_bundles_that_ended_verify_in_a_traceback(tmp_path):
     """Made anew as they were; the whole command, status and sentence included."""
     files = bundle_files()

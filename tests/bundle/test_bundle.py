@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION, OBSERVATION_SIZE, is_lost
-from toolkit.bundle.manifest import FORMAT_VERSION, Lineage, Success, read_manifest
+from toolkit.bundle.manifest import FORMAT_VERSION, read_manifest
 from toolkit.bundle.onnx_graph import load_onnx
 from toolkit.bundle.reading import FILES, MANIFEST, check_bundle, load_bundle
 from toolkit.deploy.kinematics import Kinematics
@@ -27,30 +27,8 @@ from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.native_scene import NativeScene, model_sha256
 
 TARGET = "kinova3"
-TARGETS = ("jaco", "kinova3", "iiwa", "panda")  # three hinged grippers and one that slides
-CONFIG = {"source": "adroit", "targets": [TARGET], "transfer": {"seed": 3}}
-LINEAGE = Lineage("adroit", ("adroit", "meta", TARGET), (0.0, 0.5, 1.0), "steiner", "l1", 3, 120)
-LABEL = Success(40, 30, 0.75, (0.59, 0.86), 10**9, "nowhere: a test")
-
-
-@pytest.fixture(scope="module")
-def policy(restless):
-    return restless(0)
-
-
-@pytest.fixture(scope="module")
-def exported(policy, task, tmp_path_factory):
-    """(folder, manifest) by target; nobody changes the folder."""
-    done = {}
-
-    def export(name):
-        if name not in done:
-            folder = tmp_path_factory.mktemp("bundles") / name
-            manifest = write_bundle(policy, ROBOTS[name], task, CONFIG, LINEAGE, LABEL, folder, episodes=(1, 1))
-            done[name] = folder, manifest
-        return done[name]
-
-    return export
+# Three hinged grippers and one that slides.
+TARGETS = (TARGET, *(pytest.param(name, marks=pytest.mark.slow) for name in ("jaco", "iiwa", "panda")))
 
 
 @pytest.fixture
@@ -73,11 +51,11 @@ def observations(policy, count, seed=1):
 # -- what is in it -------------------------------------------------------------------------------------------
 
 
-def test_a_bundle_reads_back_as_it_was_written(exported, policy):
+def test_a_bundle_reads_back_as_it_was_written(exported, policy, says):
     folder, manifest = exported(TARGET)
     assert sorted(file.name for file in folder.iterdir()) == sorted(FILES)
     bundle = load_bundle(folder)
-    assert bundle.manifest == manifest and manifest.run == CONFIG and manifest.lineage == LINEAGE
+    assert bundle.manifest == manifest and manifest.run == says.config and manifest.lineage == says.lineage
     assert bundle.policy.record == OBSERVATION
     loaded = GaussianPolicy.load(folder / "policy.safetensors", OBSERVATION.names, ACTION.names)
     np.testing.assert_array_equal(loaded.parameters, policy.parameters)
@@ -259,21 +237,21 @@ def test_loading_needs_neither_torch_nor_robosuite(exported):
 # -- what is refused -----------------------------------------------------------------------------------------
 
 
-def test_a_hand_is_refused(policy, task, tmp_path):
+def test_a_hand_is_refused(policy, says, task, tmp_path):
     with pytest.raises(ToolkitError, match="'adroit' has a hand"):
-        write_bundle(policy, ROBOTS["adroit"], task, CONFIG, LINEAGE, LABEL, tmp_path / "b")
+        write_bundle(policy, ROBOTS["adroit"], task, says.config, says.lineage, says.label, tmp_path / "b")
     assert not (tmp_path / "b").exists()
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(policy, task, tmp_path):
+def test_a_file_in_the_place_of_the_folder_is_refused(policy, says, task, tmp_path):
     (tmp_path / "b").write_text("mine")
     with pytest.raises(ToolkitError, match="choose another --out"):
-        write_bundle(policy, ROBOTS[TARGET], task, CONFIG, LINEAGE, LABEL, tmp_path / "b")
+        write_bundle(policy, ROBOTS[TARGET], task, says.config, says.lineage, says.label, tmp_path / "b")
 
 
-def test_a_config_that_is_not_json_is_refused_and_leaves_no_manifest(policy, task, tmp_path):
+def test_a_config_that_is_not_json_is_refused_and_leaves_no_manifest(policy, says, task, tmp_path):
     with pytest.raises(ToolkitError, match="not JSON"):
-        write_bundle(policy, ROBOTS[TARGET], task, {"rate": float("nan")}, LINEAGE, LABEL, tmp_path / "b")
+        write_bundle(policy, ROBOTS[TARGET], task, {"rate": float("nan")}, says.lineage, says.label, tmp_path / "b")
     assert not (tmp_path / "b" / MANIFEST).exists()
 
 

@@ -16,40 +16,27 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from robots import ROBOTS
 from tasks import TASKS
 from tasks.env import Pick
 from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION
 from tasks.table import TABLE_FRICTION
-from toolkit.bundle.manifest import Lineage, Success
 from toolkit.bundle.reading import FILES, HASHED, check_bundle, load_bundle, shipped_bundles
 from toolkit.errors import ToolkitError
-from toolkit.export.packing import write_bundle
 
-TARGETS = ("jaco", "iiwa", "panda")  # an opening preshape, a base that turns with joint 1, fingers that slide
-LABEL = Success(40, 30, 0.75, (0.59, 0.86), 10**9, "nowhere: a test")
+# An opening preshape, a base that turns with joint 1, fingers that slide.
+TARGETS = ("jaco", *(pytest.param(name, marks=pytest.mark.slow) for name in ("iiwa", "panda")))
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def policy(restless):
-    return restless(5)
-
-
-@pytest.fixture(scope="module")
-def exported(policy, task, tmp_path_factory):
+def alone(exported):
     """name -> (folder, its manifest.json as plain JSON)."""
-    done = {}
 
-    def export(name):
-        if name not in done:
-            folder = tmp_path_factory.mktemp("alone") / name
-            lineage = Lineage("adroit", ("adroit", name), (0.0, 1.0), "steiner", "l1", 3, 120)
-            write_bundle(policy, ROBOTS[name], task, {"transfer": {"seed": 3}}, lineage, LABEL, folder, episodes=(1, 1))
-            done[name] = folder, json.loads((folder / "manifest.json").read_text())
-        return done[name]
+    def read(name):
+        folder, _ = exported(name)
+        return folder, json.loads((folder / "manifest.json").read_text())
 
-    return export
+    return read
 
 
 # -- the controller ----------------------------------------------------------------------------------------------------
@@ -65,9 +52,9 @@ def rotation(vector):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_torques_follow_from_the_manifests_law(exported, native, name):
+def test_torques_follow_from_the_manifests_law(alone, native, name):
     """The written law on MuJoCo's own Jacobian and mass matrix gives robosuite's torques, the arm in motion and away from its posture."""
-    manifest, robot = exported(name)[1], native(name)
+    manifest, robot = alone(name)[1], native(name)
     says, law, model, data = manifest["controller"], manifest["simulation"]["osc"], robot.model, robot.data
     controller = robot.env.robots[0].composite_controller.part_controllers["right"]
     for _ in range(5):
@@ -115,8 +102,8 @@ def test_torques_follow_from_the_manifests_law(exported, native, name):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_gripper_targets_follow_from_start_sign_and_line(exported, native, name):
-    manifest, robot = exported(name)[1], native(name)
+def test_gripper_targets_follow_from_start_sign_and_line(alone, native, name):
+    manifest, robot = alone(name)[1], native(name)
     gripper, motors = manifest["gripper"], manifest["simulation"]["actuators"]
     state = np.array([motor["start"] for motor in motors])
     row = [robot.model.actuator("gripper0_right_" + motor["name"]).id for motor in motors]
@@ -140,8 +127,8 @@ def test_gripper_targets_follow_from_start_sign_and_line(exported, native, name)
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_closing_progress_is_its_formula(exported, native, name):
-    manifest, robot = exported(name)[1], native(name)
+def test_closing_progress_is_its_formula(alone, native, name):
+    manifest, robot = alone(name)[1], native(name)
     says, gripper = manifest["simulation"]["closing_progress"], manifest["gripper"]
     place, command, found = OBSERVATION.names.index("closing_progress"), gripper["preshape"], []
     value = lambda at: eval(says["formula"], {}, {"command": at, "preshape": gripper["preshape"]})  # noqa: E731
@@ -159,11 +146,11 @@ def test_closing_progress_is_its_formula(exported, native, name):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_materials_are_the_tasks(exported, native, name, task):
-    simulation, model = exported(name)[1]["simulation"], native(name).model
+def test_materials_are_the_tasks(alone, native, name, task):
+    simulation, model = alone(name)[1]["simulation"], native(name).model
     made = simulation["materials"]
     assert made["object"]["friction"] == list(task.object.friction) and made["table"]["friction"] == list(TABLE_FRICTION)
-    half = exported(name)[1]["task"]["object"]["half_size_m"]
+    half = alone(name)[1]["task"]["object"]["half_size_m"]
     body = model.body(native(name).env.item.root_body)
     assert 8 * np.prod(half) * simulation["object_density_kg_m3"] == pytest.approx(float(body.mass[0])) == pytest.approx(task.object.mass)
     shapes = {model.geom(g).name.removeprefix("gripper0_right_"): g for g in range(model.ngeom)}
@@ -172,14 +159,14 @@ def test_materials_are_the_tasks(exported, native, name, task):
         assert says["solref"] == model.geom_solref[geom].tolist() and says["condim"] == model.geom_condim[geom]
     assert len(made) > 4, "the fingers' shapes are there"
     physics = simulation["physics"]
-    assert physics["timestep_s"] * physics["substeps"] == pytest.approx(1 / exported(name)[1]["policy_hz"])
+    assert physics["timestep_s"] * physics["substeps"] == pytest.approx(1 / alone(name)[1]["policy_hz"])
     assert (physics["integrator"], physics["cone"], physics["solver"]) == ("EULER", "ELLIPTIC", "NEWTON")
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_poses_are_as_old_as_the_manifest_says_in_robosuites_own_step(exported, native, name, monkeypatch):
+def test_poses_are_as_old_as_the_manifest_says_in_robosuites_own_step(alone, native, name, monkeypatch):
     """Every physics step of robosuite's env.step is watched: at which of them does the site stand where the observation has it?"""
-    robot, says = native(name), exported(name)[1]["simulation"]["sampling"]
+    robot, says = native(name), alone(name)[1]["simulation"]["sampling"]
     times, places, angles = [], [], []
     fresh = mujoco.MjData(robot.model)
     inner = robot.env.sim.step2
@@ -200,40 +187,40 @@ def test_poses_are_as_old_as_the_manifest_says_in_robosuites_own_step(exported, 
     assert away[best] < 1e-9 and min(away[:best] + away[best + 1 :]) > 1e-6
     assert robot.data.time - times[best] == pytest.approx(says["pose_age_s"], abs=1e-9)
     assert says["joint_age_s"] == 0 and np.array_equal(angles[-1], robot.data.qpos)
-    assert len(times) == exported(name)[1]["simulation"]["physics"]["substeps"]
+    assert len(times) == alone(name)[1]["simulation"]["physics"]["substeps"]
 
 
 @pytest.mark.parametrize("name", ["jaco"])
-def test_starts_can_be_drawn_from_the_manifest_alone(exported, native, name):
-    manifest, robot = exported(name)[1], native(name)
-    says, task = manifest["simulation"]["starts"], manifest["task"]
-    assert (says["seed"], says["episodes"]) == (LABEL.seed, LABEL.episodes)
-    for number in range(says["episodes"]):
-        rng = np.random.default_rng(says["seed"] + number)
-        drawn = {what: rng.uniform(*ends) for what, *ends in zip(says["draws"], says["low"], says["high"], strict=True)}
-        robot.begin(says["seed"] + number)
+def test_starts_can_be_drawn_from_the_manifest_alone(alone, native, says, name):
+    manifest, robot = alone(name)[1], native(name)
+    starts, task = manifest["simulation"]["starts"], manifest["task"]
+    assert (starts["seed"], starts["episodes"]) == (says.label.seed, says.label.episodes)
+    for number in range(starts["episodes"]):
+        rng = np.random.default_rng(starts["seed"] + number)
+        drawn = {what: rng.uniform(*ends) for what, *ends in zip(starts["draws"], starts["low"], starts["high"], strict=True)}
+        robot.begin(starts["seed"] + number)
         place = np.array([*task["object_xy_m"], task["table_top_m"] + task["object"]["half_size_m"][-1]])
         place[:2] += drawn["shift_x"], drawn["shift_y"]
         np.testing.assert_allclose(robot.env.object_position, place, atol=1e-9)
         np.testing.assert_allclose(robot.env.goal, place + task["goal_offset_m"], atol=1e-12)
-        if number < len(says["examples"]):
-            assert says["examples"][number] == pytest.approx([*place, drawn["yaw"], *robot.env.goal], abs=1e-12)
+        if number < len(starts["examples"]):
+            assert starts["examples"][number] == pytest.approx([*place, drawn["yaw"], *robot.env.goal], abs=1e-12)
 
 
-def test_a_start_that_turns_is_told_with_its_yaw():
+def test_a_start_that_turns_is_told_with_its_yaw(says):
     from toolkit.export.loop import _starts
 
     task = TASKS["061_foam_brick-wide"]
-    says = _starts(task, LABEL)
-    rng = np.random.default_rng(LABEL.seed)
-    shift, turn = rng.uniform(-task.noise_xy, task.noise_xy, 2), rng.uniform(says.low[2], says.high[2])
-    assert says.examples[0][3] == pytest.approx(turn, abs=1e-12) and abs(turn) > 0.01
-    assert says.examples[0][0] == pytest.approx(-0.10 + shift[0])
+    starts = _starts(task, says.label)
+    rng = np.random.default_rng(says.label.seed)
+    shift, turn = rng.uniform(-task.noise_xy, task.noise_xy, 2), rng.uniform(starts.low[2], starts.high[2])
+    assert starts.examples[0][3] == pytest.approx(turn, abs=1e-12) and abs(turn) > 0.01
+    assert starts.examples[0][0] == pytest.approx(-0.10 + shift[0])
 
 
-def test_steps_at_the_goal_count_as_the_manifest_says(exported, task):
+def test_steps_at_the_goal_count_as_the_manifest_says(alone, task):
     """Five hundred random courses of distances, counted by the manifest's words and by the task."""
-    says, tolerance, needed = exported("jaco")[1]["simulation"]["holding"], task.goal_tolerance, task.hold_steps
+    says, tolerance, needed = alone("jaco")[1]["simulation"]["holding"], task.goal_tolerance, task.hold_steps
     rng, outcomes = np.random.default_rng(0), []
     for _ in range(500):
         course = rng.choice([0.0, tolerance, 1.1 * tolerance], 40, p=[0.86, 0.07, 0.07])
@@ -250,8 +237,9 @@ def test_steps_at_the_goal_count_as_the_manifest_says(exported, task):
     assert 0.05 < np.mean(outcomes) < 0.95, "both must occur"
 
 
-def test_braking_distances_are_those_of_robosuites_own_step(exported, native):
-    robot, braking = native("panda"), exported("panda")[1]["braking"]
+@pytest.mark.slow
+def test_braking_distances_are_those_of_robosuites_own_step(alone, native):
+    robot, braking = native("panda"), alone("panda")[1]["braking"]
     for form in ("osc", "pose", "joint"):
         rows = [row for row in braking["distances"] if row["form"] == form]
         assert len(rows) == 3 and all(a["speed_m_s"] < b["speed_m_s"] and a["distance_m"] < b["distance_m"]
@@ -310,8 +298,8 @@ def complaints(value, schema, root, path="$"):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_manifest_is_valid_by_the_schema_beside_it(exported, name):
-    folder, manifest = exported(name)
+def test_the_manifest_is_valid_by_the_schema_beside_it(alone, name):
+    folder, manifest = alone(name)
     schema = json.loads((folder / "manifest.schema.json").read_text())
     assert list(complaints(manifest, schema, schema)) == []
     assert schema["$schema"].startswith("https://json-schema.org/draft/2020-12")
@@ -333,17 +321,17 @@ def test_the_manifest_is_valid_by_the_schema_beside_it(exported, name):
     (lambda m: m["simulation"]["actuators"][0].update(force=["x"]), "$.simulation.actuators[0].force fits nothing"),
     (lambda m: m["golden"].update(steps=2.5), "$.golden.steps is no integer"),
 ])
-def test_what_is_wrong_is_found_by_the_schema(exported, harm, where):
-    folder, manifest = exported("panda")
+def test_what_is_wrong_is_found_by_the_schema(alone, harm, where):
+    folder, manifest = alone("jaco")
     schema, broken = json.loads((folder / "manifest.schema.json").read_text()), json.loads(json.dumps(manifest))
     harm(broken)
     found = list(complaints(broken, schema, schema))
     assert len(found) == 1 and found[0].startswith(where), found
 
 
-def test_another_reader_of_schemas_agrees(exported):
+def test_another_reader_of_schemas_agrees(alone):
     jsonschema = pytest.importorskip("jsonschema")
-    folder, manifest = exported("panda")
+    folder, manifest = alone("jaco")
     schema = json.loads((folder / "manifest.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(manifest, schema, jsonschema.Draft202012Validator)
@@ -351,9 +339,9 @@ def test_another_reader_of_schemas_agrees(exported):
         jsonschema.validate(manifest | {"simulation": None}, schema, jsonschema.Draft202012Validator)
 
 
-def test_the_licence_is_the_projects(exported):
+def test_the_licence_is_the_projects(alone):
     text = (ROOT / "pyproject.toml").read_text()
-    assert f'license = "{exported("panda")[1]["licence"]}"' in text
+    assert f'license = "{alone("jaco")[1]["licence"]}"' in text
 
 
 # -- the policy in other people's forms --------------------------------------------------------------------------------
@@ -366,9 +354,9 @@ def rows(policy, count=200):
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_layers_flat_graph_and_named_graph_give_one_action(exported, policy, native, name):
+def test_layers_flat_graph_and_named_graph_give_one_action(alone, policy, native, name):
     """torch's own Linear layers from actor.safetensors, onnxruntime on a batch, and robosuite's action of the policy itself."""
-    folder = exported(name)[0]
+    folder = alone(name)[0]
     tensors = load_file(folder / "actor.safetensors")
     net = []
     for i in range(sum(key.endswith(".weight") for key in tensors)):
@@ -396,8 +384,8 @@ def test_layers_flat_graph_and_named_graph_give_one_action(exported, policy, nat
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_keys_that_isaac_lab_and_mjlab_read_are_there(exported, native, name):
-    folder, manifest = exported(name)
+def test_the_keys_that_isaac_lab_and_mjlab_read_are_there(alone, native, name):
+    folder, manifest = alone(name)
     for file in ("policy.onnx", "policy_flat.onnx"):
         words = {entry.key: entry.value for entry in onnx.load(folder / file).metadata_props}
         assert {"run_path", "joint_names", "joint_stiffness", "joint_damping", "default_joint_pos", "command_names", "observation_names",
@@ -419,8 +407,8 @@ def test_the_keys_that_isaac_lab_and_mjlab_read_are_there(exported, native, name
         assert json.loads(words["meta_evolve"])["robot"] == manifest["robot"]
 
 
-def test_the_config_tells_the_flat_graphs_shapes(exported):
-    folder, manifest = exported("iiwa")
+def test_the_config_tells_the_flat_graphs_shapes(alone):
+    folder, manifest = alone("jaco")
     config = json.loads((folder / "config.json").read_text())
     session = onnxruntime.InferenceSession(folder / config["onnx"], providers=["CPUExecutionProvider"])
     (entry,), (out,) = session.get_inputs(), session.get_outputs()
@@ -461,6 +449,7 @@ def unpacked(tmp_path):
     return unpack
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["jaco", "kinova3", "iiwa"])
 def test_golden_actions_replay_in_robosuite_without_the_toolkit(unpacked, name):
     folder = unpacked(name)
@@ -470,6 +459,7 @@ def test_golden_actions_replay_in_robosuite_without_the_toolkit(unpacked, name):
     assert golden["success"] and said["steps"] == golden["steps"] - 1 and said["arm_rad"] < 1e-5 and said["object_m"] < 1e-5, said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", [
     lambda m: m["simulation"]["actuators"][0].update(start=-m["simulation"]["actuators"][0]["start"]),
     lambda m: m["start"]["arm_rad"].__setitem__(1, m["start"]["arm_rad"][1] + 0.02),

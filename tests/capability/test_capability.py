@@ -73,6 +73,7 @@ def test_forces_on_a_clamped_box_balance_with_its_own_constraint(lab, bench):
     assert across == pytest.approx(pushed[1], abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_the_script_holds_on_the_ends_is_measured(lab, bench):
     assert bench.script(lab.space.beta("kinova3"), 3) == 1.0
     limp = lab.space.beta("kinova3")
@@ -158,6 +159,7 @@ def test_a_broken_motor_is_found_and_named(lab, monkeypatch):
     assert "worse robots" in verdict([edge])
 
 
+@pytest.mark.slow
 def test_nothing_is_wrong_between_two_linkages(lab, tmp_path):
     way = Way("kinova3", "iiwa", lab.space.beta("kinova3"), lab.space.beta("iiwa"))
     (edge,) = run_audit(lab.merged, [way], robots=5, episodes=1, causes=False, threads=2)

@@ -62,6 +62,7 @@ def refusal(capsys, *words):
 # -- recordings ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_another_objects_broken_recording_is_nobodys_business(hands, capsys):
     without_a_label(hands, of(hands, BOX)[0])
     main(["recordings", "retarget", str(hands), "--object", BRICK, "--json"])
@@ -89,6 +90,7 @@ def test_only_broken_recordings_are_a_sentence(hands):
         teachers_for(hands, ROBOTS["adroit"], TASKS[BRICK])
 
 
+@pytest.mark.slow
 def test_a_recording_that_does_not_say_its_object(hands, capsys):
     (hands / of(hands, BOX)[0] / "meta.yml").write_text("nothing: [")
     main(["recordings", "retarget", str(hands), "--object", BRICK])
@@ -141,6 +143,7 @@ def user(tmp_path, checkout):
     return tmp_path, run
 
 
+@pytest.mark.slow
 def test_broken_cards_stop_no_other_robot(user):
     folder, run = user
     for name, code in CARDS.items():

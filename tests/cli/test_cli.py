@@ -350,6 +350,7 @@ def test_ticks_are_timed(capsys):
     assert "ticks is 5" in refusal(capsys, "bench", "tick", "--ticks", "5")
 
 
+@pytest.mark.slow
 def test_trees_are_timed(capsys):
     found = answer(capsys, "bench", "tree", "--terminals", "4", "8", "--dimensions", "20", "--longer", "2")
     assert [(t["metric"], t["terminals"], t["optimal"]) for t in found["trees"]] == [
@@ -456,6 +457,7 @@ def test_the_audit_of_the_robots(capsys, lab, tmp_path):
     assert "2 robots per edge or more" in refusal(capsys, "audit", "--targets", *names[1:], "--robots", "1")
 
 
+@pytest.mark.slow
 def test_the_match_of_the_robots(capsys, lab):
     """Parity is measured, 4 s per robot, so here for two of them; test_parity.py holds the figures of all."""
     lab.targets = lab.targets[:1]
@@ -474,6 +476,7 @@ def test_the_match_of_the_robots(capsys, lab):
     assert len(found["theta"]) == found["parameters"]
 
 
+@pytest.mark.slow
 def test_doctor(capsys):
     try:
         main(["doctor", "--json"])

@@ -146,6 +146,7 @@ def test_what_the_machine_refuses_is_a_sentence(capsys, monkeypatch):
 # -- peers and workers ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_twin_that_is_killed_ends_in_a_sentence_with_what_is_known():
     twin = subprocess.Popen(command("twin", "kinova3", "--pace", "lockstep"), stdout=subprocess.PIPE, text=True)
     port = twin.stdout.readline().rsplit(":", 1)[1].strip()
@@ -204,6 +205,7 @@ class Killed:
         return os._exit, (9,)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_is_no_result():
     from toolkit.evaluation.success import _outcomes
 
@@ -261,6 +263,7 @@ def test_an_arm_does_not_stop_for_its_log():
     assert np.isfinite(outcome.tick_ms).all()
 
 
+@pytest.mark.slow
 @FULL
 def test_deploy_says_that_its_log_is_cut_off(capsys):
     main(["deploy", "kinova3", "--episodes", "1", "--pace", "lockstep", "--log", "/dev/full"])

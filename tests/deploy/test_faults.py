@@ -50,7 +50,7 @@ def arm(task):
     return Direct(Twin(ROBOTS["kinova3"], task, "lockstep"))
 
 
-@pytest.mark.parametrize("form", ["osc", "pose", "joint"])
+@pytest.mark.parametrize("form", [*(pytest.param(form, marks=pytest.mark.slow) for form in ("osc", "pose")), "joint"])
 def test_no_fault_is_unmet(bundle, arm, form):
     some = ("none", "order", "stamp", "process")
     harms = HARMS if form == "osc" else tuple(h for h in HARMS if h.layer in some or "frozen" in h.name)
@@ -190,6 +190,7 @@ def test_a_quaternion_and_its_opposite_are_one():
 # -- through the command -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_what_came_of_each(capsys):
     main(["bench", "faults", "kinova3", "--form", "osc", "--only", "stamp", "--json"])
     found = json.loads(capsys.readouterr().out)

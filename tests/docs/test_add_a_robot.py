@@ -31,6 +31,7 @@ def folder(tmp_path_factory, checkout):
     return folder
 
 
+@pytest.mark.slow
 def test_the_check_passes_and_the_robot_is_known(folder):
     done = subprocess.run(
         [sys.executable, "-m", "toolkit.cli", "robots", "--check", "panda140", "--json"],

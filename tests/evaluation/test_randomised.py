@@ -75,6 +75,7 @@ def test_every_episode_draws_by_its_seed_and_leaves_nothing_behind(plant, task):
     assert {row[1] for row in drawn} == {0.0, 1.0, 2.0, 3.0}, "a delay is a number of steps"
 
 
+@pytest.mark.slow
 def test_the_policy_of_a_known_robot_fares_worse_the_worse_it_is(task):
     policy, _ = load_expert("adroit", task, "adroit-061_foam_brick")
     rates = [evaluate_randomised(policy, ROBOTS["kinova3"], task, {"pose_noise": (noise, noise)}, 12).success_rate for noise in (0.0, 0.03)]
@@ -109,6 +110,7 @@ def test_every_condition_that_can_be_trained_under_is_one_of_the_stress_tests():
     assert set(TRAINABLE) < set(CONDITIONS)
 
 
+@pytest.mark.slow
 def test_a_last_hop_under_noise_is_trained_measured_and_told(tmp_path, capsys):
     file, run = tmp_path / "lab.json", tmp_path / "run"
     file.write_text(json.dumps({"pose_noise": [0.0, 0.01]}))

@@ -124,6 +124,7 @@ def test_a_ledger_goes_on_after_a_torn_line_and_refuses_anothers(tmp_path):
         Ledger(file, {"policy": "b"})
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     options = ["stress", "kinova3", "--episodes", "1", "--conditions", "delay", "--pairs", "0", "--workers", "1", "--out", str(tmp_path),
                "--plot", str(tmp_path / "p.png"), "--json"]

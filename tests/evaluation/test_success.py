@@ -89,6 +89,7 @@ def idle():
     return policy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processes", [1, 2])
 def test_divergence_on_the_native_robot_is_counted(task, idle, processes):
     far = replace(task, horizon=3, noise_xy=1e14)  # an object beyond what MuJoCo takes for a number

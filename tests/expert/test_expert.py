@@ -125,6 +125,7 @@ def test_no_two_purposes_share_seeds():
 # -- training ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_few_demonstrations_are_cloned(engine):
     events = []
     config = ExpertConfig(demonstrations=6, copies=2, updates=1, cloning=CloningConfig(epochs=8), npg=NpgConfig(batch_size=4))

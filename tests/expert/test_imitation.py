@@ -116,6 +116,7 @@ def test_an_arm_cannot_open_the_door(capsys):
     assert "robot 'adroit' cannot play task 'door', which is for robots of the family adroit-free" in said
 
 
+@pytest.mark.slow
 def test_the_command_trains_from_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     task, rng = CARDS["door"], np.random.default_rng(0)

@@ -344,6 +344,7 @@ def test_a_host_without_an_address_is_refused_without_patience():
     assert time.monotonic() - began < 60
 
 
+@pytest.mark.slow
 def test_the_command_outlives_stray_clients_too():
     process = subprocess.Popen([sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", "lockstep"], stdout=subprocess.PIPE,
                                text=True, cwd=ROOT)
@@ -365,6 +366,7 @@ def test_the_command_outlives_stray_clients_too():
         process.kill()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked_for, has", [("lockstep", "real"), ("real", "lockstep")])
 def test_a_twin_of_another_pace_is_refused(asked_for, has, capsys):
     """A lockstep client on a twin by the clock once failed every episode without a word."""

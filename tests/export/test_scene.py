@@ -91,6 +91,7 @@ def drive(folder):
     return subprocess.run([sys.executable, ROOT / "docs" / "drive_scene.py", folder], capture_output=True, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_recorded_actions_drive_the_scene_along_the_recorded_episode(folder, name):
     """MuJoCo and NumPy alone, the law of torques written from the manifest: to 1e-4 rad and m."""

@@ -301,6 +301,7 @@ def test_a_tick_is_short(bundle, form):
     assert min(fifties) < 4.0, f"{form}: {min(fifties):.2f} to {max(fifties):.2f} ms"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["osc", "joint"])
 def test_ticks_leave_nothing_behind(bundle, form, tmp_path):
     """An hour has 72 000 ticks; a thousand of them with their log may not keep more than a few kB."""

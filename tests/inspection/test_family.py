@@ -247,6 +247,7 @@ def test_the_commands_look_at_it(run, tmp_path, capsys):
     assert {"tree.png", "projection.png", "curves.png", "parameters.png"} <= names and "audit.png" not in names
 
 
+@pytest.mark.slow
 def test_the_run_becomes_a_film(run, tmp_path):
     import cv2
 

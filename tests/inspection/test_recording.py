@@ -220,6 +220,7 @@ def test_contacts_and_signals_of_a_film(rows):
     assert max(row["Scalars:scalars"][0] for row in rows["/signals/grip"] if "Scalars:scalars" in row) > 0.3
 
 
+@pytest.mark.slow
 def test_a_running_transfer_spends_at_most_its_share(tmp_path, stored):
     """With no time at all, curves and ways are told, and of every path the landmarks at the end; a rebuild plays the rest."""
     recorder = RunRecorder(Stream(tmp_path / "a.rrd"), stored.folder, stored.merged, stored.tree(), stored.policy, stored.native, 1e-9,
@@ -367,6 +368,7 @@ def test_an_excerpt_of_nothing_gets_one_sentence(tmp_path, rebuilt, stored):
         excerpt.excerpt(rebuilt[0], "rollouts", -100.0, layout, tmp_path / "a.rrd")
 
 
+@pytest.mark.slow
 def test_a_run_without_phases_shows_its_last_policies(tmp_path, stored):
     """An older version's run: config, tree, metrics and final policies."""
     old = tmp_path / "old"
@@ -378,6 +380,7 @@ def test_a_run_without_phases_shows_its_last_policies(tmp_path, stored):
     assert any("at 100% of adroit to jaco" in row["TextDocument:text"][0] for row in entities(old / "recording.rrd")["/signals/caption"])
 
 
+@pytest.mark.slow
 def test_what_a_stopped_run_is_stuck_on_is_shown(tmp_path, stored):
     """Its last phase has no end and no record: the episodes that it holds are played all the same."""
     import shutil
@@ -437,6 +440,7 @@ def test_a_morph_follows_the_tree(tmp_path, small):
     assert "this is the source" in texts[0.0], "the page is whole from the first frame on"
 
 
+@pytest.mark.slow
 def test_two_runs_stand_side_by_side(tmp_path, stored):
     films, layout = recordings.compare([("one", stored, "jaco"), ("two", stored, "jaco")], tmp_path / "c.rrd", seed=11)
     np.testing.assert_array_equal(films[0].qpos, films[1].qpos)
@@ -553,6 +557,7 @@ def test_without_a_display_the_viewer_is_served(rebuilt):
         urllib.request.urlopen(address.split("?")[0], timeout=20)
 
 
+@pytest.mark.slow
 def test_without_the_viewer_a_sentence_says_how_to_have_it():
     program = (
         "import sys; sys.modules['rerun'] = None; from toolkit.cli import main\n"
@@ -566,6 +571,7 @@ def test_without_the_viewer_a_sentence_says_how_to_have_it():
     assert done.stderr == "meta-evolve: the Rerun viewer is not installed; pip install 'meta-evolve[viewer]'\n"
 
 
+@pytest.mark.slow
 def test_training_code_needs_no_rerun():
     program = "import sys, toolkit.runs.phases, toolkit.runs.run, toolkit.transfer.pipeline; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0

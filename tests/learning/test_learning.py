@@ -428,6 +428,7 @@ def reach(policy, rng, steps=10):
     )
 
 
+@pytest.mark.slow
 def test_npg_learns_to_reach():
     rng = np.random.default_rng(0)
     policy = GaussianPolicy(["x", "y", "goal x", "goal y"], ["vx", "vy"], rng, init_log_std=-0.5)

@@ -20,6 +20,7 @@ def test_the_hand_goes_on_every_other_arm_once():
     assert len({robot.name for robot in hands}) == len(hands) and all(robot.name.isidentifier() for robot in hands)
 
 
+@pytest.mark.slow
 def test_arms_are_compared_in_one_space():
     """The hand on the Kinova, and on the Jaco, to both of them: what each costs is a tree in the space of all four."""
     costs = compare_arms(ADROIT, [JACO, KINOVA3], "l1")

@@ -23,6 +23,7 @@ def square_on():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arm", "gripper", "rate"), ARMS, ids=[f"{arm}-{gripper}" for arm, gripper, _ in ARMS])
 def test_the_cube_is_lifted(arm, gripper, rate):
     env = suite.make(

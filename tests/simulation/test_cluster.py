@@ -92,6 +92,7 @@ def test_the_unmodified_robot_plays_the_same_bits(cluster, task, batch):
     here.close(), there.close()
 
 
+@pytest.mark.slow
 def test_success_on_the_unmodified_robots_own_step_is_the_same(cluster, task):
     """Outcomes of the shipped expert, which succeeds on some seeds only."""
     expert, _ = load_expert("adroit", task)
@@ -100,6 +101,7 @@ def test_success_on_the_unmodified_robots_own_step_is_the_same(cluster, task):
     assert evaluate_compiled(expert, ROBOTS[TARGET], task, 4, cluster=cluster) == evaluate_compiled(expert, ROBOTS[TARGET], task, 4)
 
 
+@pytest.mark.slow
 def test_a_transfer_on_the_cluster_side_by_side_is_the_local_one(cluster, lab, task, tmp_path):
     """A small one of an expert that misses, whose budget is soon spent: the same costs and policies, and of each path the same metrics."""
     expert, value = load_expert("adroit", task)
@@ -204,6 +206,7 @@ def test_an_episode_with_which_actors_die_again_and_again_ends_the_run(cluster, 
     wait_for(lambda: cluster.ready == 2, 300.0)
 
 
+@pytest.mark.slow
 def test_a_node_removed_in_the_middle_changes_nothing(nodes, cluster, batch, local, monkeypatch, wait_for):
     """It is not held against the episodes that were played there; a node that joins is used again."""
     monkeypatch.setattr(module, "ATTEMPTS", 1)
