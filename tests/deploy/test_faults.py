@@ -114,6 +114,7 @@ def test_who_drops_the_object_is_stopped_and_who_only_sees_it_fall_is_not(bundle
     assert not found.met and found.outcome.startswith("stopped: object_lost"), found
 
 
+@pytest.mark.slow
 def test_a_jaco_whose_fingers_jam_on_the_table_does_not_spin(task):
     """Held once on its way down, it comes to the table where its wrist's motor cannot push as much as it should; its other joints then
     turned about the grasp at 0.9 rad/s, and it was stopped for that."""
@@ -191,9 +192,16 @@ def test_a_quaternion_and_its_opposite_are_one():
 
 
 @pytest.mark.slow
-def test_the_command_prints_what_came_of_each(capsys):
-    main(["bench", "faults", "kinova3", "--form", "osc", "--only", "stamp", "--json"])
+def test_the_command_prints_what_came_of_each(capsys, tmp_path):
+    main(["bench", "faults", "kinova3", "--form", "osc", "--only", "stamp", "--json", "--page", str(tmp_path / "faults.md")])
     found = json.loads(capsys.readouterr().out)
+    page = (tmp_path / "faults.md").read_text()
+    assert "`meta-evolve bench faults kinova3 --form osc --only stamp --page faults.md`: 6 of 6 met." in page
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines()[4:]]
+    assert rows[0] == ["layer", "fault", "must", "osc"] and [row[1] for row in rows[2:]] == [row["fault"] for row in found["trials"]]
+    old = next(row for row in found["trials"] if row["fault"] == "one state 0.3 s old")
+    told = f"stale_state; 0 ticks, {old['to_hold_mm']:.0f} mm, {old['to_rest_mm']:.0f} mm; success"
+    assert ["stamp", "one state 0.3 s old", "pass", told] in rows
     assert found["unmet"] == 0 and len(found["trials"]) == 6 and {row["layer"] for row in found["trials"]} == {"state", "stamp"}
     with pytest.raises(SystemExit) as stop:
         main(["bench", "faults", "--only", "no such fault"])

@@ -18,7 +18,7 @@ from toolkit.io.quoting import told
 
 if TYPE_CHECKING:
     from toolkit.deploy.arm import ArmInfo
-    from toolkit.deploy.faults import Begun
+    from toolkit.deploy.faults import Begun, Trial
     from toolkit.transfer.pipeline import Job
 
 bench = tyro.extras.SubcommandApp()
@@ -140,10 +140,14 @@ def bench_engine(
         _show_engine(found)
     if page is not None:
         named = ["--robots", *robots] if robots else []
-        try:
-            page.write_text(performance_page(found, told("bench", "engine", *named, "--episodes", episodes, "--page", page.name)))
-        except OSError as error:
-            raise ToolkitError(f"{page} cannot be written ({error.strerror}); choose another --page") from None
+        _write_page(page, performance_page(found, told("bench", "engine", *named, "--episodes", episodes, "--page", page.name)))
+
+
+def _write_page(page: Path, content: str) -> None:
+    try:
+        page.write_text(content)
+    except OSError as error:
+        raise ToolkitError(f"{page} cannot be written ({error.strerror}); choose another --page") from None
 
 
 def _show_engine(found: dict) -> None:
@@ -489,12 +493,41 @@ def bench_hostile(
         raise SystemExit(1)
 
 
+def _faults_page(found: "list[Trial]", command: str) -> str:
+    """What came of every fault as Markdown, a row each, a column for each form of command."""
+    forms = list(dict.fromkeys(trial.form for trial in found))
+    faults = list(dict.fromkeys((trial.layer, trial.fault, trial.must) for trial in found))
+    cells = {(trial.layer, trial.fault, trial.form): _fault_cell(trial) for trial in found}
+    lines = [
+        "# Faults", "",
+        f"Written by `{command}`: {sum(trial.met for trial in found)} of {len(found)} met. What must come of a fault: *stop*: the arm is "
+        "held at once, and then stopped with a reason; *pass*: held, and let go on; *play*: borne; *refuse*: never moved. In a cell: as "
+        "what it was noticed; ticks until the arm was held; how far the grasp frame had truly gone by then, and when it stood or went "
+        "on.", "",
+        "| layer | fault | must | " + " | ".join(forms) + " |", "|---|---|---|" + "---|" * len(forms),
+    ]
+    return "\n".join([*lines, *(f"| {layer} | {name} | {must} | " + " | ".join(cells.get((layer, name, form), "") for form in forms) + " |"
+                                for layer, name, must in faults)]) + "\n"
+
+
+def _fault_cell(trial: "Trial") -> str:
+    """A trial in a few words."""
+    ended = trial.outcome.removeprefix("stopped: ").split(" (")[0]
+    if trial.ticks is None:
+        told = ended if trial.layer in ("process", "line", "disk") else trial.seen or ended
+    else:
+        told = f"{trial.seen}; {trial.ticks} ticks, {trial.to_hold_mm:.0f} mm, {trial.to_rest_mm:.0f} mm"
+        told += f"; {ended.split(':')[0]}" if trial.must in ("pass", "play") else ""
+    return ("" if trial.met else "**unmet** ") + told
+
+
 @bench.command(name="faults")
 def bench_faults(
     bundle: Annotated[str, tyro.conf.Positional] = "kinova3",
     form: Literal["osc", "pose", "joint", "all"] = "all",
     driver: DriverName = "sim",
     only: str = "",
+    page: Path | None = None,
     json: bool = False,
 ) -> None:
     """Inject faults between arm and runtime: lying states, old stamps, orders not obeyed, dead processes, bad clients, a full disk.
@@ -507,13 +540,15 @@ def bench_faults(
         form: of the commands; all: those that the driver takes.
         driver: sim (the twin), or ur, franka, kortex or ros2 on a mock of the vendor's package, with the bundle's own arm behind it.
         only: faults whose name or layer (state, stamp, start, order, vendor, process, line, disk) holds this text.
+        page: also write the table as Markdown into this file.
         json: print one JSON object.
     """
+    room_for(page, (".md", ".markdown", ".txt"))
     from toolkit.bundle.reading import load_bundle
     from toolkit.cli.deployment import start_twin
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.drivers.sim import SimDriver
-    from toolkit.deploy.faults import Trial, harms_for, line_trials, trials
+    from toolkit.deploy.faults import harms_for, line_trials, trials
     from toolkit.deploy.mocks import VENDORS, mocked
 
     loaded, found = load_bundle(bundle), []
@@ -528,7 +563,7 @@ def bench_faults(
                            "vendor, process, line or disk")
     with Progress("faults", quiet=json) as progress:
 
-        def met(trial: Trial) -> None:
+        def met(trial: "Trial") -> None:
             found.append(trial)
             unmet = sum(not trial.met for trial in found)
             progress.show(f"{loaded.manifest.robot.name} {trial.form}", f"{unmet} unmet, last: {trial.fault}", len(found))
@@ -561,5 +596,9 @@ def bench_faults(
               [[t.fault, t.form, t.must, t.seen[:60], "" if t.ticks is None else t.ticks, f"{t.to_hold_mm:.1f}", f"{t.to_rest_mm:.1f}",
                 t.outcome[:80], "met" if t.met else "UNMET"] for t in found])
         print(f"{len(found) - len(unmet)} of {len(found)} faults met as they must be.")
+    if page is not None:
+        chosen = [*(["--form", form] if form != "all" else []), *(["--driver", driver] if driver != "sim" else []),
+                  *(["--only", only] if only else [])]
+        _write_page(page, _faults_page(found, told("bench", "faults", bundle, *chosen, "--page", page.name)))
     if unmet:
         raise SystemExit(1)
