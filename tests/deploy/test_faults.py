@@ -74,6 +74,7 @@ def test_the_injector_sees_a_runtime_that_believes_everything(bundle, arm, monke
     assert not found.met and found.ticks is None and found.to_hold_mm > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, form, seen", [
     ("orders two ticks late", "osc", "table_clearance"), ("one state 0.3 s old", "pose", "stale_state"),
     ("policy asleep for 0.5 s", "joint", "late_ticks"), ("stamp stands still", "pose", "stale_state"),
