@@ -222,10 +222,12 @@ def stored_branch(
     if f"{prefix}.best.parameters" in tensors:
         best = policy.copy()
         load_network(tensors, f"{prefix}.best", best)
-    kept = {name: tensors.get(f"{prefix}.trials.{name}") for name in ("offsets", "centres", "deviations", "success")}
+    trials = None
+    if f"{prefix}.trials.success" in tensors:
+        trials = Trials(**{name: tensors[f"{prefix}.trials.{name}"] for name in ("offsets", "centres", "deviations", "success")})
+    rest: dict[str, Any] = {name: tensors.get(f"{prefix}.{name}") for name in _ARRAYS} | {key: state[key] for key in _PLAIN if key in state}
     return Branch(
         alpha=tensors[f"{prefix}.alpha"], policy=policy, value=value, ledger=ledger, rng=generator_from_state(state["rng"]), best=best,
-        hopes=list(tensors.get(f"{prefix}.hopes", ())),
-        trials=None if kept["success"] is None else Trials(**kept), stride=math.inf if state["stride"] is None else state["stride"],
-        **{name: tensors.get(f"{prefix}.{name}") for name in _ARRAYS}, **{key: state[key] for key in _PLAIN if key in state},
+        hopes=list(tensors.get(f"{prefix}.hopes", ())), trials=trials, stride=math.inf if state["stride"] is None else state["stride"],
+        **rest,
     )

@@ -144,7 +144,7 @@ class SearchLearner:
             branch.features = leading_features(branch.policy, met, settings.features)
         directions = self.directions(branch)
         declared = directions.deviation
-        if branch.deviation is None:
+        if branch.deviation is None or branch.centre is None:
             begins = 1.0 if success == 0 else min(branch.width, settings.polish if holds else 1.0)
             branch.deviation = declared * begins
             branch.centre = np.zeros_like(declared)

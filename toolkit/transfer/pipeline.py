@@ -25,10 +25,12 @@ from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.lab import Lab, Merged, System, check_players, check_roles
+from toolkit.morphology.space import EvolutionSpace
 from toolkit.runs.phases import PhaseRecorder
 from toolkit.runs.run import Run, read_audit
 from toolkit.simulation.cluster import Cluster, ClusterEngine
 from toolkit.simulation.laws import Drivable, native_plant
+from toolkit.simulation.plant import Plant
 from toolkit.simulation.rollout import Engine, NativeEngine, RolloutEngine
 from toolkit.transfer.branch import Branch
 from toolkit.transfer.events import Arrived, Entry, Moved, Spent
@@ -211,7 +213,7 @@ class Pipeline:
         self.engine = RolloutEngine(self.lab.merged, dump=dump) if self.cluster is None else ClusterEngine(self.cluster, dump=dump)
         self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
-        self._audit()
+        self.audit = self._audit()
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
@@ -230,8 +232,10 @@ class Pipeline:
         moved = Counter(record["path"] for record in records if record["event"] == "moved")
         self.phases = PhaseRecorder(folder, job.task.miss, moved)
         self._stood = {branch.path: branch.alpha for branch in self.transfer.pending}
-        begin = lambda: self._begin(folder, self.lab.merged, self.tree.to_json(), policy.copy(), self._plant, records)  # noqa: E731
-        self.recording = _Guarded(folder, begin if self._begin else lambda: None)
+        begin, tree = self._begin, self.tree.to_json()
+        self.recording = _Guarded(
+            folder, lambda: None if begin is None else begin(folder, self.lab.merged, tree, policy.copy(), self._plant, records)
+        )
 
     def _native(self, robot: System, dump: Path) -> Engine:
         """Plays on the unmodified robot of a target: where the last hop is trained and measured.
@@ -258,7 +262,7 @@ class Pipeline:
             evaluations = {name: self._evaluate(name, policy) for name, policy in policies.items()}
             report = self._report(evaluations)
             if self.job.randomise:
-                report["randomised"] = self._randomised(policies)
+                report["randomised"] = self._randomised(policies, self.job.randomise)
             self.run.write_json("report", report)
             self.recording.aside(lambda: self.run.write_summary(summary(report, self.tree)))
             self.recording.summary(summary(report, self.tree))
@@ -271,26 +275,29 @@ class Pipeline:
             cost = self.recording.finish()
             self.watch({"event": "recorded", "cost": cost, "trouble": bool(self.recording.trouble)})
 
-    def _audit(self) -> None:
-        """What the robots along the tree can do, in short, before any policy is taken through them."""
-        if (self.run.path / "audit.json").is_file():
-            return
+    def _audit(self) -> dict[str, Any]:
+        """What the robots along the tree can do, in short, before any policy is taken through them. A resumed run reads it."""
+        found = read_audit(self.run.path)
+        if found is not None:
+            return found
         if not isinstance(self.lab.merged, MergedRobot):
-            words = f"what robots can do in {self.job.task.name} without a policy is not measured"
-            self.run.write_json("audit", {"verdict": words, "edges": []})
-            return
+            found = {"verdict": f"what robots can do in {self.job.task.name} without a policy is not measured", "edges": []}
+            self.run.write_json("audit", found)
+            return found
         bend = self.job.transfer.path == "bent"
         edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=2 * bend, scripted=1, causes=False,
                           brief=True)
-        self.run.write_json("audit", {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]})
-        self.watch({"event": "audited", "verdict": verdict(edges)})
+        found = {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]}
+        self.run.write_json("audit", found)
+        self.watch({"event": "audited", "verdict": found["verdict"]})
+        return found
 
     def _bends(self) -> dict[frozenset[str], Bend]:
         """Targets behind each edge that is not straight -> how it turns, as the audit found it best."""
-        below, edges = self.tree.below(), read_audit(self.run.path)["edges"]
+        below, space = self.tree.below(), self.lab.space
         alphas = {node.name: node.alpha for node in self.tree.nodes}
-        return {below[edge["to"]]: Bend(alphas[edge["from"]], self.lab.space.side(edge["first"]), edge.get("lead", 1.0))
-                for edge in edges if edge.get("first") in SIDES}
+        return {below[edge["to"]]: Bend(alphas[edge["from"]], space.side(edge["first"]), edge.get("lead", 1.0))
+                for edge in self.audit["edges"] if isinstance(space, EvolutionSpace) and edge.get("first") in SIDES}
 
     def _stalled(self, branch: Branch) -> None:
         """Ask of a path whose budget is spent what changes on the robots where it stands, if that can be measured."""
@@ -327,7 +334,7 @@ class Pipeline:
     def _plant(self, name: str) -> Drivable:
         """An unmodified target robot for the recording's films."""
         plant = native_plant(next(robot for robot in self.job.targets if robot.name == name), self.job.task)
-        return RandomisedRobot(plant, self.job.randomise) if self.job.randomise else plant
+        return RandomisedRobot(plant, self.job.randomise) if self.job.randomise and isinstance(plant, Plant) else plant
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 
@@ -352,12 +359,12 @@ class Pipeline:
             "native": evaluate_native(policy, robot, self.job.task, episodes, cluster=self.cluster),
         }
 
-    def _randomised(self, policies: dict[str, GaussianPolicy]) -> dict[str, Any]:
+    def _randomised(self, policies: dict[str, GaussianPolicy], conditions: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
         """Target -> the expert, untrained, and its policy under the conditions that the last hop was trained under."""
         job, found = self.job, {}
         expert, _ = load_expert(job.source.name, job.task, job.expert)
         for robot in job.targets:
-            played = {who: evaluate_randomised(policy, robot, job.task, job.randomise, job.evaluation_episodes).to_json()
+            played = {who: evaluate_randomised(policy, robot, job.task, conditions, job.evaluation_episodes).to_json()
                       for who, policy in (("untrained", expert), ("trained", policies[robot.name]))}
             found[robot.name] = {"conditions": job.config()["randomise"], **played}
         return found
@@ -373,7 +380,7 @@ class Pipeline:
             "check_episodes": {path: cost.check_episodes for path, cost in costs.items()},
             "diverged": {path: cost.diverged for path, cost in costs.items()},
             "routes": self.transfer.routes,
-            "audit": read_audit(self.run.path)["verdict"],
+            "audit": self.audit["verdict"],
             "stalls": self.stalls,
             "totals": {key: total(key) for key in ("train_iterations", "sim_epochs", "check_episodes", "diverged")},
             "wall_s": self.transfer.sampler.seconds,

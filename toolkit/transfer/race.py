@@ -66,7 +66,7 @@ class Race:
     def _choose_waiting(self, pending: list[Branch]) -> None:
         """Of those that wait the branch with the least left to its meta robot; a target to which some policy leaves less goes first, from
         there."""
-        choices = []
+        choices: list[tuple[float, int, str | None]] = []
         for index, branch in enumerate(pending):
             if branch.began is not None:
                 continue
@@ -77,14 +77,14 @@ class Race:
             for name in branch.targets if own > 0 else ():
                 leap = self.asking.best(branch, name, self.way.goals[name], self._look_ahead.holds)
                 choices.append((leap.left, index, name))
-        _, index, name = min(choices, key=lambda choice: choice[0])
+        _, index, apart = min(choices, key=lambda choice: choice[0])
         branch = pending.pop(index)
-        if name is not None and not branch.alone:
-            parted = self.way.part(branch, [frozenset(branch.targets) - {name}, frozenset([name])])
-            branch = next(child for child in parted if child.targets == [name])
+        if apart is not None and not branch.alone:
+            parted = self.way.part(branch, [frozenset(branch.targets) - {apart}, frozenset([apart])])
+            branch = next(child for child in parted if child.targets == [apart])
             pending += [child for child in parted if child is not branch]
         pending.append(branch)
-        if name is not None:
+        if apart is not None:
             self._leave_from(branch)
         self.begin(branch)
 

@@ -36,6 +36,7 @@ class Training:
 
     def __init__(self, config: TransferConfig, sampler: Sampler, weights: WeightLearner, search: SearchLearner | None) -> None:
         self.config, self.sampler, self.weights, self.search = config, sampler, weights, search
+        self._turns = () if search is None else search.turns
 
     def train_to(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, exploring: bool = False
@@ -95,11 +96,10 @@ class Training:
             return "training"
         branch.return_to_best()
         branch.turns += 1
-        turns = self.search.turns
-        on_the_way, over = branch.next_alpha is not None, branch.turns >= len(turns)
+        on_the_way, over = branch.next_alpha is not None, branch.turns >= len(self._turns)
         if on_the_way and (over or (self._nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
-        branch.begin_turn(turns[branch.turns % len(turns)])
+        branch.begin_turn(self._turns[branch.turns % len(self._turns)])
         return "over" if over and not on_the_way else "training"
 
     def measure_anew(
