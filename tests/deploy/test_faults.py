@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from toolkit.deploy import faults
 from toolkit.deploy.arm import ArmInfo, State
 from toolkit.deploy.faults import HARMS, Harm, _seen, onsets, trial, trials
 from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
+from toolkit.deploy.runtime import Outcome
 from toolkit.export.twin import Twin
 from toolkit.runs.seeds import EVALUATION_SEEDS
 
@@ -113,6 +115,18 @@ def test_who_drops_the_object_is_stopped_and_who_only_sees_it_fall_is_not(bundle
     shifted = Harm("camera shifted", "state", "play", state=_seen(bias=0.07))
     found = trial(bundle, arm, arm.connect(), "osc", shifted, onsets(bundle)["lifting"] + 5, EVALUATION_SEEDS)
     assert not found.met and found.outcome.startswith("stopped: object_lost"), found
+
+
+@pytest.mark.parametrize("held, apart, stopped, met", [
+    ([0, 0, 1, 0, 0, 0], 0.01, "", True), ([0, 0, 1, 0, 1, 1], 0.20, "object_lost: it fell", True),
+    ([0, 0, 1, 0, 1, 1], 0.01, "object_lost: it seems to", False), ([0, 0, 1, 1, 1, 1], 0.20, "object_lost: it fell", False),
+    ([0, 0, 1, 0, 1, 1], 0.20, "joint_speed: too fast", False), ([0, 0, 0, 0, 0, 0], 0.01, "", False),
+])
+def test_a_fault_has_passed_where_the_policy_plays_on(bundle, held, apart, stopped, met):
+    """What it then does is its own: an object that it drops is no fault of the filter, one that only seems to be is."""
+    injector = SimpleNamespace(harm=harm_named("policy asleep for 0.5 s"), onset=2, held=[bool(h) for h in held],
+                               truths=[np.zeros(3)] * 7, apart=[0.01] * 6 + [apart])
+    assert faults._judged(injector, Outcome(stopped=stopped), "joint", bundle.manifest).met is met
 
 
 @pytest.mark.slow

@@ -178,11 +178,14 @@ def test_a_late_state_passes_and_a_jump_does_not(bundle):
         assert after.command.hold and after.stop == (tick == bundle.manifest.watch.hold_ticks)
 
 
-@pytest.mark.parametrize("gap, holds", [(0.05, True), (0.10, False), (0.30, False)])
-def test_what_may_move_in_a_tick_may_move_farther_in_a_longer_time(bundle, gap, holds):
-    """As the fingers do that close while one state is old, or while the policy sleeps."""
+@pytest.mark.parametrize("gap, ticks, holds", [
+    (0.05, 1.5, True), (0.10, 1.5, False), (0.30, 1.5, False), (0.30, 4.5, True), (0.50, 6, True),
+])
+def test_what_may_move_in_a_tick_may_move_farther_in_a_longer_time(bundle, gap, ticks, holds):
+    """As the fingers do that close while one state is old, or while the policy sleeps; but an arm left alone stands still after 0.2 s, and
+    an object that is half a metre away after half a second has jumped."""
     entry = next(entry for entry in bundle.manifest.observation if entry.name == "object_from_grasp")
-    moved = 1.5 * max(CAMERA["object_from_grasp"], *entry.jump)
+    moved = ticks * max(CAMERA["object_from_grasp"], *entry.jump)
     runtime, good = started(bundle), start_state(bundle)
     assert runtime.tick(changed(good, stamp=0.05), 0.05).fault is None
     tick = runtime.tick(changed(good, stamp=0.05 + gap, object_position=good.object_position + [0, 0, moved]), 0.05 + gap)

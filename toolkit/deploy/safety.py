@@ -49,6 +49,8 @@ SURE, GONE = 3, 2
 CAMERA = {"object_from_grasp": 0.08, "goal_from_object": 0.08, "object_rotation": float(np.sin(TURNED))}
 """[m] that the object may seem to move in a tick, whatever the manifest calls a jump: five standard deviations of what noise of 10 mm,
 which the policies bear, does to a difference; and the sine of the angle by which it may turn: one that topples is no camera that lies."""
+ALONE = 0.2
+"""[s] after which an arm without commands stands still, by its watchdog: what is seen moves no farther, however long one does not look."""
 CREEPING = 0.01
 """[m/s] of the grasp frame below which it is as good as at rest: a tick of it is half a millimetre."""
 SINKING = 1e-4
@@ -116,7 +118,7 @@ class Guard:
     def begin(self) -> None:
         """Forget the last episode."""
         self._last: np.ndarray | None = None
-        self._missed, self._late, self._up, self._away, self._lifted = 1, 0, 0, 0, False
+        self._late, self._up, self._away, self._lifted = 0, 0, 0, False
         self._led, self._sank = np.inf, 0.0
         self._place: np.ndarray | None = None
         self._stamp = self._placed = self._seen = 0.0
@@ -268,12 +270,11 @@ class Guard:
         if self._last is not None:
             step = np.abs(observation - self._last)
             # A state that was waited for may be farther, whether the ticks between had states that were refused or none at all.
-            bad = step > self._jump * max(self._missed, self._hz * (self._stamp - self._seen))
+            bad = step > self._jump * max(1.0, self._hz * min(ALONE, self._stamp - self._seen))
             if bad.any():
-                self._missed += 1
                 worst = int(np.argmax(step / self._jump))
                 return Fault("observation_jump", f"observation {self._names[worst]} moved by {step[worst]:.3g} in a tick")
-        self._last, self._missed, self._seen = observation, 1, self._stamp
+        self._last, self._seen = observation, self._stamp
         place = self.observer.kinematics.coordinates()
         spent = max(1.0 / self._hz, self._stamp - self._placed)  # a late tick is longer, and no faster
         self._velocity = np.zeros(3) if self._place is None else (place - self._place)[:3] / spent
