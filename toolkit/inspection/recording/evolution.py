@@ -54,22 +54,21 @@ class EvolutionPage:
 
     def __init__(self, stream: Stream, plan: Plan, space: ParameterSpace | None) -> None:
         self.stream, self.plan, self.space = stream, plan, space
-        self._walked: list[tuple[dict[str, Any] | None, float, float, float | None]] = []  # edge, from, to, success
+        self._walked: list[tuple[dict[str, Any], float, float, float | None]] = []  # edge, from, to, success
         self._ways: list[tuple[np.ndarray, float | None]] = []  # projected ends, success
         self._draw_plan()
         if space is not None:
             cells, self._rows, self._columns = matrix(space)
             self._cells = cells * (1.0, LINE)
-            self._draw_names()
+            self._draw_names(space)
 
     def visit(self, film: np.ndarray, iteration: int, alphas: np.ndarray, targets: Sequence[str]) -> None:
         """The robot is at alphas (T, D) at times film (T,) [s], on its way to ``targets``."""
         count = len(film)
-        ways = [self.plan.way_of(targets, alpha) for alpha in alphas]
-        if ways[0] is not None:
-            spots = np.array([self.plan.stretch(way, 0.0, self.plan.fraction(way, alpha))[-1]
-                              for way, alpha in zip(ways, alphas, strict=True)])
-            self.stream.rows("evolution/tree/here", film, iteration, rr.Points2D.columns(positions=spots))
+        ways = [(way, alpha) for alpha in alphas if (way := self.plan.way_of(targets, alpha)) is not None]
+        if len(ways) == count:
+            here = np.array([self.plan.stretch(way, 0.0, self.plan.fraction(way, alpha))[-1] for way, alpha in ways])
+            self.stream.rows("evolution/tree/here", film, iteration, rr.Points2D.columns(positions=here))
         spots = self.plan.project(alphas)
         self.stream.rows("evolution/pca2/here", film, iteration, rr.Points2D.columns(positions=spots[:, :2] * (1, -1)))
         self.stream.rows("evolution/pca3/here", film, iteration, rr.Points3D.columns(positions=spots))
@@ -78,7 +77,7 @@ class EvolutionPage:
             self.stream.rows("evolution/alpha/cells", film, iteration, rr.Points2D.columns(
                 positions=np.tile(self._cells, (count, 1)), colors=colours).partition([len(self._cells)] * count))
             for k in sorted({*range(0, count, TABLES), count - 1}):
-                text = rr.TextDocument(self._changes(alphas[k]), media_type=rr.MediaType.MARKDOWN)
+                text = rr.TextDocument(self._changes(self.space, alphas[k]), media_type=rr.MediaType.MARKDOWN)
                 self.stream.row("evolution/changes", float(film[k]), iteration, text)
 
     def walked(
@@ -137,10 +136,10 @@ class EvolutionPage:
         for entity, kind in (("pca2", rr.Points2D), ("pca3", rr.Points3D)):
             put(f"evolution/{entity}/here", kind.from_fields(colors=HERE, radii=big))
 
-    def _draw_names(self) -> None:
+    def _draw_names(self, space: ParameterSpace) -> None:
         """Names of the heat map's rows and columns; a dot under the pointer tells its parameter."""
         put = self.stream.static
-        names = dimension_names(self.space)
+        names = dimension_names(space)
         put("evolution/alpha/cells", rr.Points2D.from_fields(radii=0.45, labels=names, show_labels=False))
         places = [(-1.5 - 0.5 * LETTER * len(name), LINE * (row - 0.33)) for row, name in enumerate(self._rows)]
         put("evolution/alpha/rows", rr.Points2D(places, labels=self._rows, colors=TEXT, radii=0.01, show_labels=True))
@@ -149,11 +148,12 @@ class EvolutionPage:
         leaders = [[(x, y + 0.8 * HEAD_ROW), (x, -0.6 * LINE)] for x, y in heads]
         put("evolution/alpha/leaders", rr.LineStrips2D(leaders, colors=PLANNED, radii=rr.Radius.ui_points(0.4)))
 
-    def _changes(self, alpha: np.ndarray) -> str:
+    @staticmethod
+    def _changes(space: ParameterSpace, alpha: np.ndarray) -> str:
         """What has changed since the source, as Markdown: a line per quantity, with its largest change in physical units."""
-        change = np.abs(alpha - self.space.betas[0])
+        change = np.abs(alpha - space.betas[0])
         found: dict[str, tuple[set[int], float, str]] = {}
-        for parameter in self.space.parameters:
+        for parameter in space.parameters:
             if change[parameter.dimension] < 1e-9:
                 continue
             low, high = parameter.low, parameter.high

@@ -115,9 +115,9 @@ def _update(parts: dict[str, Part], batch: pa.RecordBatch, stamps: np.ndarray, a
             continue
         row = known[len(known) - 1 - np.argmax(stamps[known][::-1])]
         if field.name not in parts or stamps[row] >= parts[field.name].since:
-            keys = (b"rerun:component", b"rerun:archetype", b"rerun:component_type")
-            names = [about[key].decode() if key in about else None for key in keys]
-            parts[field.name] = Part(rr.ComponentDescriptor(*names), column[int(row)].values, int(stamps[row]))
+            component = about[b"rerun:component"].decode()  # all data has one
+            more = [about[key].decode() if key in about else None for key in (b"rerun:archetype", b"rerun:component_type")]
+            parts[field.name] = Part(rr.ComponentDescriptor(component, *more), column[int(row)].values, int(stamps[row]))
 
 
 def _kept(

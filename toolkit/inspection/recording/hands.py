@@ -151,8 +151,8 @@ class AnimatedModel:
             entity = self._mesh(model, body)
             if entity is not None:
                 shown.add(entity)
-                poses = {"translations": positions[:, body], "quaternions": x_first(quaternions[:, body])}
-                self._stream.rows(entity, times, iteration, rr.InstancePoses3D.columns(**poses))
+                poses = rr.InstancePoses3D.columns(translations=positions[:, body], quaternions=x_first(quaternions[:, body]))
+                self._stream.rows(entity, times, iteration, poses)
         for entity in set(self._known.values()) - shown:
             self._stream.row(entity, start, iteration, rr.InstancePoses3D(translations=np.empty((0, 3))))
         return start + interval * len(qpos)
@@ -165,8 +165,8 @@ class AnimatedModel:
         key = mesh.digest + mesh.name.encode()
         if key not in self._known:
             self._known[key] = f"{self._entity}/{mesh.name}-{len(self._known)}"
-            triangles = {"vertex_positions": mesh.vertices, "vertex_normals": mesh.normals, "vertex_colors": mesh.colours}
-            self._stream.static(self._known[key], rr.Mesh3D(**triangles, triangle_indices=mesh.faces))
+            self._stream.static(self._known[key], rr.Mesh3D(
+                vertex_positions=mesh.vertices, vertex_normals=mesh.normals, vertex_colors=mesh.colours, triangle_indices=mesh.faces))
         return self._known[key]
 
 

@@ -19,9 +19,9 @@ Eye = tuple[np.ndarray, np.ndarray]
 
 def robot_view(name: str, eye: Eye) -> rrb.Spatial3DView:
     """The scene from somewhere, looking at some point."""
-    eye = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=(0.0, 0.0, 1.0))
+    controls = rrb.EyeControls3D(position=eye[0], look_target=eye[1], eye_up=(0.0, 0.0, 1.0))
     shown = ["+ $origin/**", "- $origin/robot/bones"]  # they run through the joints; who asks for them in the viewer sees them
-    return rrb.Spatial3DView(origin="scene", contents=shown, name=name, eye_controls=eye, background=BACKGROUND, line_grid=False)
+    return rrb.Spatial3DView(origin="scene", contents=shown, name=name, eye_controls=controls, background=BACKGROUND, line_grid=False)
 
 
 def pages_layout(views: Callable[[], dict[str, rrb.View]], page: str | None = None, timeline: str = FILM) -> rrb.Blueprint:

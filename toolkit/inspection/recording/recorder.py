@@ -94,7 +94,8 @@ class RunRecorder:
         self._began = self._busy_since = time.perf_counter()
         self.cost = Cost(run=folder)
         self.stream, self.folder, self.merged, self.policy, self.share = stream, folder, merged, policy, share
-        self._native, self._plants = native, {}
+        self._native = native
+        self._plants: dict[str, Drivable] = {}
         self.clock, self.iteration = 0.0, 0
         self._paths: dict[str, dict[str, Any]] = {}  # path -> targets, phases ended, last success
         self._waiting: list[tuple[Phase, KeptEpisode]] = []
@@ -106,7 +107,7 @@ class RunRecorder:
         self.evolution = EvolutionPage(stream, self.plan, merged.space)
         told = dict.fromkeys(record["path"] for record in records)
         older = not all(path.startswith("path 1") for path in told)  # paths were counted in the order of play: the plan has other names
-        self.learning = LearningPage(stream, told if older else dict.fromkeys([*self.plan.paths, *told]))
+        self.learning = LearningPage(stream, list(told if older else dict.fromkeys([*self.plan.paths, *told])))
         self.rollouts = RolloutsPage(stream, merged)
         self.scene = Scene(stream, self._visual, self.rollouts.tolerance)
         self.summary("The run goes on; this page fills when it ends.")

@@ -61,10 +61,11 @@ class RolloutsPage:
 
     def __init__(self, stream: Stream, merged: Merged, root: str = SIGNALS) -> None:
         self.stream, self.root = stream, root
-        self.pick, self._joints = isinstance(merged.task, PickTask), np.zeros(0, int)
+        task = merged.task
+        self.pick, self._joints = isinstance(task, PickTask), np.zeros(0, int)
         self.tolerance: float | None = None
-        if self.pick:
-            self.tolerance = merged.task.goal_tolerance
+        if isinstance(task, PickTask):
+            self.tolerance = task.goal_tolerance
             for key, lines in LINES.items():
                 names, colours = zip(*lines, strict=True)
                 widths = [1.0 if "wanted" in name or "tolerance" in name else 2.0 for name in names]
@@ -73,9 +74,9 @@ class RolloutsPage:
         model = merged.template
         scalar = np.flatnonzero(np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)))
         self._joints = model.jnt_qposadr[scalar]
-        named = {"joints": [model.joint(joint).name for joint in scalar], "action": merged.task.action.names, "reward": ["reward"]}
-        for key, names in named.items():
-            stream.static(f"{self.root}/{key}", rr.SeriesLines(names=names))
+        named = {"joints": [model.joint(joint).name for joint in scalar], "action": task.action.names, "reward": ["reward"]}
+        for key, each in named.items():
+            stream.static(f"{self.root}/{key}", rr.SeriesLines(names=list(each)))
 
     def act(self, times: np.ndarray, iteration: int, trajectory: Trajectory) -> None:
         """The curves of a trajectory whose frames stand at times (T + 1,) [s]."""
@@ -83,7 +84,8 @@ class RolloutsPage:
         if len(after) == 0:
             return
         gap = times[len(after)] + 1e-3  # a line would otherwise run on to the next episode
-        for key, values in (self._of_pick(trajectory) if self.pick else self._of_model(trajectory)).items():
+        curves = self._of_pick(trajectory) if isinstance(trajectory, PickTrajectory) else self._of_model(trajectory)
+        for key, values in curves.items():
             ended = np.concatenate([values, np.full((1, values.shape[1]), np.nan)])
             columns = rr.Scalars.columns(scalars=ended.ravel()).partition([values.shape[1]] * len(ended))
             self.stream.rows(f"{self.root}/{key}", np.append(after, gap), iteration, columns)

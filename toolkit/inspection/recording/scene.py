@@ -8,6 +8,7 @@
 """
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -73,14 +74,14 @@ class Scene:
         for name, drawn in self.visual.primitives.items():
             self._show_primitives(name, drawn, times, iteration, motions)
         if self.visual.carried is not None:
-            carried = np.stack([motion.carried for motion in motions], axis=1)
+            carried = np.stack([motion.carried for motion in motions if motion.carried is not None], axis=1)
             self.stream.rows("scene/object", times, iteration, _poses(carried[..., :3], carried[..., 3:]))
 
     def act(self, times: np.ndarray, iteration: int, trajectories: Sequence[Trajectory]) -> None:
         """Draw what else trajectories show that ``show`` has drawn the robots of: of picks goals, trails, targets and contacts."""
-        if not all(isinstance(trajectory, PickTrajectory) for trajectory in trajectories):
+        pairs = [(each, offset) for each, offset in zip(trajectories, self.offsets, strict=True) if isinstance(each, PickTrajectory)]
+        if self.tolerance is None or len(pairs) < len(trajectories):
             return
-        pairs = list(zip(trajectories, self.offsets, strict=True))
         goals = [each.goal + offset for each, offset in pairs]
         begin, sizes = float(times[0]), [[self.tolerance] * 3] * len(trajectories)
         self.stream.row("scene/goal", begin, iteration, rr.Ellipsoids3D.from_fields(centers=goals, half_sizes=sizes))
@@ -92,7 +93,7 @@ class Scene:
         aims = np.stack([held(each.target, steps) + offset for each, offset in pairs], axis=1)
         columns = rr.Points3D.columns(positions=aims.reshape(-1, 3)).partition([len(trajectories)] * steps)
         self.stream.rows("scene/target", times[1:], iteration, columns)
-        self._touches(times, iteration, trajectories)
+        self._touches(times, iteration, pairs)
 
     def clear_act(self, time: float, iteration: int) -> None:
         """Take away what belongs to an episode."""
@@ -132,8 +133,8 @@ class Scene:
         self.stream.rows(self.entities[mesh], times, iteration, columns, rr.Mesh3D.columns(albedo_factor=colours))
 
     def _show_primitives(self, name: str, drawn: Primitives, times: np.ndarray, iteration: int, motions: Sequence[Motion]) -> None:
-        part = tuple(np.concatenate([motion.parts[name][k] for motion in motions], axis=1) for k in range(3))
-        columns = _solids(drawn, part)
+        places, turns, sizes = (np.concatenate([motion.parts[name][k] for motion in motions], axis=1) for k in range(3))
+        columns = _solids(drawn, (places, turns, sizes))
         if drawn.columns is not None:
             shown = np.concatenate(
                 [opacity(motion.weights[:, drawn.columns], motion.weights.max(axis=1, keepdims=True)) for motion in motions], axis=1
@@ -143,14 +144,16 @@ class Scene:
             columns["colors"] = np.round(colours).astype(np.uint8).reshape(-1, 4)
         archetype = ARCHETYPES[drawn.kind]
         self.stream.rows(f"scene/robot/{name}", times, iteration,
-                         archetype.columns(**columns).partition([part[0].shape[1]] * len(times)))
+                         archetype.columns(**columns).partition([places.shape[1]] * len(times)))
 
-    def _touches(self, times: np.ndarray, iteration: int, trajectories: Sequence[Trajectory]) -> None:
-        pairs = list(zip(trajectories, self.offsets, strict=True))
-        origins, vectors, lengths = [], [], []
+    def _touches(self, times: np.ndarray, iteration: int, pairs: Sequence[tuple[PickTrajectory, np.ndarray]]) -> None:
+        """Contacts of each trajectory, where its robot stands."""
+        origins: list[np.ndarray] = []
+        vectors: list[np.ndarray] = []
+        lengths: list[int] = []
         for step in range(len(times) - 1):
             points = [each.points[step] + offset for each, offset in pairs if step < len(each.points)]
-            forces = [each.forces[step] for each in trajectories if step < len(each.forces)]
+            forces = [each.forces[step] for each, _ in pairs if step < len(each.forces)]
             origins += points
             vectors += forces
             lengths.append(sum(len(point) for point in points))
@@ -162,7 +165,7 @@ class Scene:
             self.stream.rows("scene/contacts", times[1:], iteration, columns)
 
 
-ARCHETYPES = {"capsules": rr.Capsules3D, "boxes": rr.Boxes3D, "cylinders": rr.Cylinders3D, "ellipsoids": rr.Ellipsoids3D}
+ARCHETYPES: dict[str, Any] = {"capsules": rr.Capsules3D, "boxes": rr.Boxes3D, "cylinders": rr.Cylinders3D, "ellipsoids": rr.Ellipsoids3D}
 
 
 def _style(drawn: Primitives, copies: int) -> rr.AsComponents:
@@ -235,5 +238,5 @@ def _poses(positions: np.ndarray, quaternions: np.ndarray, lengths: np.ndarray |
     """Instance poses per frame: (T, n, 3) and (T, n, 4), or flat with the number of instances of each frame."""
     if lengths is None:
         lengths = np.full(positions.shape[0], positions.shape[1])
-    flat = {"translations": positions.reshape(-1, 3), "quaternions": x_first(quaternions).reshape(-1, 4)}
-    return rr.InstancePoses3D.columns(**flat).partition(lengths)
+    turns = x_first(quaternions).reshape(-1, 4)
+    return rr.InstancePoses3D.columns(translations=positions.reshape(-1, 3), quaternions=turns).partition(lengths)

@@ -8,7 +8,7 @@ import os
 import subprocess
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,21 +48,21 @@ class Stream:
         self._stream = rr.RecordingStream(APPLICATION)
         self._stream.set_log_time_enabled(False)
         self._stream.set_log_tick_enabled(False)
-        if self.path is None:
+        if not isinstance(target, Path):
             self._stream.connect_grpc(target)
             return
         self._checked = 0.0
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.touch()
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.touch()
             try:
                 self._room()
             except ToolkitError:
-                self.path.unlink()  # an empty file would be taken for a damaged recording
+                target.unlink()  # an empty file would be taken for a damaged recording
                 raise
-            self._stream.save(self.path)
+            self._stream.save(target)
         except (OSError, RuntimeError) as error:
-            raise ToolkitError(f"recording {self.path} cannot be written ({error}); choose a folder that can be") from None
+            raise ToolkitError(f"recording {target} cannot be written ({error}); choose a folder that can be") from None
 
     def _room(self) -> None:
         """Stop before the disk is full: rerun's writer dies of it, and then whoever flushes, closes or ends waits for ever. What is
@@ -82,7 +82,7 @@ class Stream:
         self._room()
         self._stream.send_blueprint(blueprint)
 
-    def static(self, entity: str, *parts: rr.AsComponents) -> None:
+    def static(self, entity: str, *parts: rr.AsComponents | Iterable[rr.DescribedComponentBatch]) -> None:
         """Log what is the same at all times."""
         self._room()
         self._stream.log(entity, *parts, static=True)
@@ -92,7 +92,7 @@ class Stream:
         self._room()
         self._stream.reset_time()
         if film is not None:
-            self._stream.set_time(FILM, duration=duration(film))
+            self._stream.set_time(FILM, duration=np.timedelta64(round(1e6 * film), "us"))  # as of `duration`
         if iteration is not None:
             self._stream.set_time(ITERATION, sequence=iteration)
         self._stream.log(entity, *parts)
@@ -107,7 +107,7 @@ class Stream:
             columns: what an archetype's ``columns`` made.
         """
         self._room()
-        count = len(film) if film is not None else len(iteration)
+        count = len(film) if film is not None else 0 if iteration is None else np.size(iteration)
         indexes = [] if film is None else [rr.TimeColumn(FILM, duration=duration(film))]
         if iteration is not None:
             numbers = np.broadcast_to(np.asarray(iteration), (count,))
@@ -180,9 +180,9 @@ def compact(path: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def duration(seconds: float | np.ndarray) -> np.ndarray:
+def duration(seconds: np.ndarray) -> np.ndarray:
     """Whole microseconds, so that what is logged for one moment falls on the same instant."""
-    return np.round(np.asarray(seconds, dtype=np.float64) * 1e6).astype("timedelta64[us]")[()]
+    return np.round(np.asarray(seconds, dtype=np.float64) * 1e6).astype("timedelta64[us]")
 
 
 def x_first(quaternion: np.ndarray) -> np.ndarray:

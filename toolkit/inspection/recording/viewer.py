@@ -118,7 +118,6 @@ def still(files: Sequence[Path], out: Path, at: float | None = None, size: str =
     Raises:
         ToolkitError: no graphics driver, or the viewer does not get there.
     """
-    moment = {} if at is None else {"sequence": int(at)} if timeline != FILM else {"duration": float(at)}
     port = free_port(VIEWER_PORT)
     command = [str(viewer_program()), *map(str, files), "--headless", "--port", str(port), "--window-size", size]
     calm = os.environ | {"RUST_LOG": "error"}  # what it would log it also shows, over the picture
@@ -126,7 +125,7 @@ def still(files: Sequence[Path], out: Path, at: float | None = None, size: str =
     try:
         if not _answers(port, process):
             raise ToolkitError(CANNOT_DRAW)
-        picture = _picture(port, process, files[0], moment, timeline)
+        picture = _picture(port, process, files[0], at, timeline)
     finally:
         process.terminate()
         process.wait()
@@ -136,7 +135,7 @@ def still(files: Sequence[Path], out: Path, at: float | None = None, size: str =
         raise ToolkitError(f"{out} cannot be written ({error.strerror})") from None
 
 
-def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str, float], timeline: str) -> bytes:
+def _picture(port: int, process: subprocess.Popen, file: Path, at: float | None, timeline: str) -> bytes:
     """What a viewer without a screen shows, as a PNG, once it shows the recording; a busy machine draws slowly."""
     from rerun.experimental import ViewerClient
 
@@ -146,8 +145,10 @@ def _picture(port: int, process: subprocess.Popen, file: Path, moment: dict[str,
             client = ViewerClient(f"127.0.0.1:{port}")
             if _shows(client):
                 client.run_command("ui.toggle_top_panel")
-                if moment:
-                    client.set_time(timeline, **moment, play_state="paused")
+                if at is not None and timeline == FILM:
+                    client.set_time(timeline, duration=float(at), play_state="paused")
+                elif at is not None:
+                    client.set_time(timeline, sequence=int(at), play_state="paused")
                 return _settled(client, deadline)
         except (TimeoutError, RuntimeError, ConnectionError):
             pass  # it is still opening; what rerun's client says of it helps nobody
