@@ -160,9 +160,9 @@ def check_fit(manifest: Manifest, info: ArmInfo, form: Form) -> None:
             culprit = odd[0] if odd else next(name for name in found if found.count(name) > 1)
             whose = "the driver lacks" if culprit in wanted and culprit not in found else "the bundle lacks, or the driver repeats,"
             raise ToolkitError(f"{whose} {kind} {culprit!r}; the bundle has {', '.join(wanted)}")
-    for what, found, wanted in (("angles", info.angle_unit, "rad"), ("lengths", info.length_unit, "m"), ("frame", info.frame, "task")):
-        if found != wanted:
-            raise ToolkitError(f"the driver of {robot!r} reports {what} in {found!r}, the bundle takes {wanted!r}; convert in the driver")
+    for what, reported, taken in (("angles", info.angle_unit, "rad"), ("lengths", info.length_unit, "m"), ("frame", info.frame, "task")):
+        if reported != taken:
+            raise ToolkitError(f"the driver of {robot!r} reports {what} in {reported!r}, the bundle takes {taken!r}; convert in the driver")
     if form not in info.forms:
         raise ToolkitError(f"the driver of {robot!r} takes no {form!r} commands; it takes: {', '.join(info.forms)}")
     if info.rate_hz < manifest.policy_hz:

@@ -150,8 +150,8 @@ class _Extent:
         starts, counts = (getattr(model, key)[model.geom_dataid[hulls]] for key in ("mesh_vertadr", "mesh_vertnum"))
         self._points = [np.array(model.mesh_vert[start : start + count], float) for start, count in zip(starts, counts, strict=True)]
         self._hulls, self._radius = hulls, model.geom_rbound[hulls]
-        self._geoms = geoms = np.array([g for g in geoms if g not in hulls and model.geom(g).name not in named], int)
-        size, kind = model.geom_size[geoms], model.geom_type[geoms]
+        self._geoms = np.array([g for g in geoms if g not in hulls and model.geom(g).name not in named], int)
+        size, kind = model.geom_size[self._geoms], model.geom_type[self._geoms]
         long = (kind == kinds.mjGEOM_CAPSULE) | (kind == kinds.mjGEOM_CYLINDER)
         self._half = np.where((kind == kinds.mjGEOM_BOX)[:, None], size, 0.0)
         self._half[long, 2] = size[long, 1]

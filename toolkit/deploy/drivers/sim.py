@@ -72,7 +72,8 @@ class SimDriver:
         found = self._ask({"do": "describe"} | ({"token": self.token} if self.token else {}))
         self.pace = str(found.pop("pace", ""))
         try:
-            info = ArmInfo(**{key: tuple(value) if isinstance(value, list) else value for key, value in found.items()})
+            said: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in found.items()}
+            info = ArmInfo(**said)
             if not all(isinstance(name, str) for name in (info.robot, *info.joints, *info.fingers)) or not float(info.rate_hz) > 0:
                 raise TypeError("its description holds no names and rate")
             return info

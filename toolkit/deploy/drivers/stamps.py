@@ -50,7 +50,8 @@ class Changes:
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now, self._last, self._since = now, None, 0.0
+        self._now, self._since = now, 0.0
+        self._last: object = None
 
     def __call__(self, number: object) -> float:
         """When [s, time.monotonic] this number was first seen."""
