@@ -28,7 +28,7 @@ CONFIGURATIONS = 100
 """Random arm configurations for the forward kinematics and the mass matrix."""
 COMMANDS = tuple(np.linspace(-1.0, 1.0, 9))
 """Closing commands at which pads are compared."""
-SETTLING = 1.0
+SETTLING = 0.1
 """Time [s] at each closing command before pads are compared."""
 WIDTH = 0.05
 """Width [m] of the box for the pad force, between the pads."""
@@ -76,13 +76,19 @@ class Side:
         mujoco.mj_step(model, data, int(round(seconds / model.opt.timestep)))
         mujoco.mj_forward(model, data)
 
-    def close_until_jaws_meet(self, model: mujoco.MjModel, data: mujoco.MjData, command: float, seconds: float) -> bool:
-        """As ``close_to``; stops and returns True as soon as the thumb touches another finger."""
-        for _ in range(int(round(seconds / model.opt.timestep))):
-            self.close_to(model, data, command, model.opt.timestep)
-            if jaws_meet(model, data, self.jaws):
-                return True
-        return False
+    def closed(self, command: float) -> tuple[mujoco.MjData, bool]:
+        """Closed from the start to a command at the gripper's own rate, and settled; whether the thumb has touched another finger."""
+        model, data = self.clamped()
+        law, commands, met = self.plant.law, np.full(len(COMMANDED_ROLES), self.plant.law.preshape), False
+        step = int(round(1.0 / self.plant.task.control_frequency / model.opt.timestep))
+        plan = list[float]()
+        while commands.max() < command:
+            commands = np.minimum(law.advance(commands, np.ones_like(commands)), command)
+            plan += [float(commands[0])] * step
+        for now in [*plan, *[command] * int(round(SETTLING / model.opt.timestep))]:
+            self.close_to(model, data, now, model.opt.timestep)
+            met = met or jaws_meet(model, data, self.jaws)
+        return data, met
 
     def pad_poses(self, data: mujoco.MjData) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Finger -> position (3,) [m] and rotation (3, 3) of its pad in the grasp frame."""
@@ -177,8 +183,8 @@ def parity(merged: MergedRobot, robot: Robot) -> dict[str, str | float]:
         arm_mass_matrix_rel_error: largest entry of the difference of the arm's mass matrices over the largest entry of
         the robot's own, fingers at their start, over the same configurations;
         pad_position_error_m, pad_angle_error_deg: largest difference of the fingers' last pads in the grasp frame, both
-        grippers settled for 1 s at the same closing command in free air with the arm held still, from open until the
-        robot's own thumb touches a finger;
+        grippers closed from open to the same commands at the gripper's own rate, as in a task, in free air with the arm held
+        still, until the robot's own thumb touches a finger;
         pad_force_rel_error: see ``squeeze``; the difference relative to the robot's own force;
         closing_time_difference_steps: see ``closing_steps``; the difference in policy steps;
         grasp_frame_drift_m: largest distance of the grasp frames during 1 s of the same random OSC commands in free
@@ -237,14 +243,12 @@ def arm_errors(mine: Side, own: Side, system: System) -> tuple[float, float]:
 
 def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
     """Largest pad position error [m] and angle error [degrees] from open until the robot's own jaws meet."""
-    pair = [(side, *side.clamped()) for side in (mine, own)]
     position = angle = 0.0
-    (_, model, data), (_, own_model, own_data) = pair
     for command in COMMANDS:
-        if own.close_until_jaws_meet(own_model, own_data, command, SETTLING):
+        theirs, met = own.closed(command)
+        if met:
             break
-        mine.close_to(model, data, command, SETTLING)
-        poses = [side.pad_poses(data) for side, _, data in pair]
+        poses = [mine.pad_poses(mine.closed(command)[0]), own.pad_poses(theirs)]
         for finger in own.pads:
             (p, P), (q, Q) = poses[0][finger], poses[1][finger]
             position = max(position, float(np.linalg.norm(p - q)))

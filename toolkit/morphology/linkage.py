@@ -1,17 +1,18 @@
 """Four-bar fingers as open chains: what a gripper's linkages do to its knuckles and pads, measured on the gripper itself.
 
 robosuite keeps such a linkage in shape by soft meshes that press on each other and by tendons between the joints. All that
-an object feels of it are two torques on a finger, one on its driven knuckle and one on its pad joint. They are recorded while
-the gripper closes in free air and while it squeezes boxes of several widths, and an elastic model of two angles is fitted to
-them: with the knuckle at q, the pad at p (merged angles, zero at the start posture),
+an object feels of it are two torques on a finger, one on its driven knuckle and one on its pad joint. They are recorded where
+the gripper has closed at its own rate, as it does in a task, in free air and on boxes of several widths, and an elastic model
+of two angles is fitted to them: with the knuckle at q, the pad at p (merged angles, zero at the start posture),
 
     on the knuckle  -R(q) + K P'(q) (p - P(q)) - g k max(0, s - (p - g q))      R(q) = u + a q + b q^2
     on the pad              -K      (p - P(q)) +   k max(0, s - (p - g q))      P(q) = c1 q + c2 q^2
 
 R is what the linkage costs the motor, P the pad's way in free air, K how softly it keeps to it, and the last term the stop
-against which an object turns the pad. A damper on the knuckle lets it arrive in the same time. One on the pad would follow the
-recorded angles closer still, and was left out: a pad that lags lets the object slip on robots between two grippers. Friction within
-the linkage is left out: closing is fitted, opening lags by it.
+against which an object turns the pad. A damper on the knuckle lets it arrive in the same time. Friction within the linkage is
+left out: closing is fitted, opening lags by it. But it decides where a pad goes: closed ten times slower than a task does, or
+with slippery meshes, the Robotiq 85's pads turn three times as far in free air and feel a fifth of the hold. So the rate is the
+gripper's own, and a box is slippery while the linkage is not.
 """
 
 import copy
@@ -36,9 +37,6 @@ SLIPPERY = 1e-3
 """Friction coefficient on a squeezed box: with more, the stall depends on how the fingers came to stick."""
 BOX_HALF_SIZE = (0.04, 0.025, 0.025)
 """Half extents [m] of a squeezed box, its second axis across the jaws unless a width is given."""
-SLOWED = 1.8
-"""Factor on the damping of a knuckle that its motor's power tells: friction in the linkage, which is left out, slows it as well.
-With it the merged gripper closes within 0.6 (Kinova3), 0.8 (UR5e) and 0 (IIWA) policy steps of robosuite's; with 1, within 1.2."""
 CLOSING_STEPS, CLOSING_STEP = 10, 0.05
 """Steps, and seconds each, in which a gripper closes on a box: robosuite's rate for its two-jaw grippers."""
 BOX_WIDTH = 0.05
@@ -53,11 +51,13 @@ WIDTHS = (0.03, 0.05, 0.07, 0.09)
 """Widths [m] of the boxes on which it is recorded."""
 SQUEEZES = (0.3, 1.0)
 """Closing commands at which it is recorded on each box."""
-SETTLING, AVERAGED, SAMPLES = 0.7, 0.1, 10
-"""Time [s] at each command, and after it that over which so many samples are averaged: soft meshes never quite rest."""
-KNUCKLE_WEIGHT, AIR_WEIGHT, CURVE_WEIGHT = 2.0, 4.0, 20.0
-"""Weights of the fit beside 1 per N m on a pad that squeezes: per N m on its knuckle, which is most of the grip; per N m on a
-knuckle in free air, where poses are all there is to keep; and per rad by which the stop pushes a pad off its curve there."""
+MOVING, SETTLING, AVERAGED, SAMPLES = 0.01, 0.1, 0.1, 10
+"""Time [s] at the end of the last step that closes, after it, and that over which what has settled is recorded; records are means
+of so many samples: soft meshes never quite rest, and over seconds pads creep."""
+AIR_WEIGHT, CURVE_WEIGHT, STOP_WEIGHT = 4.0, 20.0, 0.1
+"""Weights of the fit beside 1 per N m on a knuckle or a pad that squeezes: per N m on a knuckle in free air, where poses are all
+there is to keep; per rad by which the stop pushes a pad off its curve there; and per N m/rad of the stop, which few squeezes tell
+from the hold: without it the two fingers of one Robotiq 85 come out as different."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ def become_box(model: mujoco.MjModel, body: int, width: float) -> None:
     model.geom_aabb[geoms] = (0.0, 0.0, 0.0, *half)
     nodes = np.arange(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
     model.bvh_aabb[nodes, 3:] = 2.0 * half.max()  # loose: only the broad phase looks at it
-    model.geom_friction[:] = SLIPPERY
+    model.geom_friction[geoms] = SLIPPERY
+    model.geom_priority[geoms] = model.geom_priority.max() + 1  # else MuJoCo takes the larger friction of two geoms that touch
     model.opt.gravity[:] = 0.0
     clamp(model, model.jnt_dofadr[model.body_jntadr[body]] + np.arange(6))
 
@@ -205,19 +206,30 @@ class _Bench:
         """Whether anything touches the object."""
         return bool(np.any(self.model.geom_bodyid[self.data.contact.geom] == self.item))
 
-    def motion(self) -> np.ndarray:
-        """(2, n_roles): merged angles [rad] and the actuators' torques [N m]."""
-        angles = self.data.qpos[self._qpos] - self._start[self._qpos]
-        return self._sign * np.array([angles, self.data.qfrc_actuator[self._dof]])
+    def close(self, position: Sequence[float] | np.ndarray, command: float) -> tuple[np.ndarray, np.ndarray]:
+        """Close from the start to a command at the gripper's own rate, the object at ``position`` (3,): what is recorded at the
+        end of the last step, still moving, and what when it has settled."""
+        gripper = self.robot.gripper
+        if gripper.rate is None:
+            raise ToolkitError(f"gripper {gripper.name} is on four-bar linkages, but its card has no rate of closing; give it one")
+        self.place(position)
+        steps = int(np.ceil((command - gripper.preshape) / gripper.rate - 1e-9))
+        for step in range(1, steps):
+            self.run(gripper.preshape + step * gripper.rate, CLOSING_STEP)
+        self.run(command, CLOSING_STEP - MOVING)
+        moving = self.record(command, MOVING)
+        self.run(command, SETTLING)
+        return moving, self.record(command, AVERAGED)
 
-    def record(self, command: float) -> np.ndarray:
-        """(2, n_roles): merged angles [rad] and the linkage's torques [N m], averaged over the last steps at a command."""
+    def record(self, command: float, seconds: float) -> np.ndarray:
+        """(3, n_roles): merged angles [rad], the linkage's torques [N m] and speeds [rad/s], averaged over a time at a command."""
         rows = []
         for _ in range(SAMPLES):
-            self.run(command, AVERAGED / SAMPLES)
+            self.run(command, seconds / SAMPLES)
             # All that acts on a joint but its actuator, its weight and the object.
             torque = self.data.qfrc_constraint + self.data.qfrc_spring - self._by_object()
-            rows.append([self.motion()[0], self._sign * torque[self._dof]])
+            angles = self.data.qpos[self._qpos] - self._start[self._qpos]
+            rows.append(self._sign * np.array([angles, torque[self._dof], self.data.qvel[self._dof]]))
         return np.mean(rows, axis=0)
 
     def _by_object(self) -> np.ndarray:
@@ -236,12 +248,10 @@ class _Bench:
 
 
 def _in_air(bench: _Bench) -> np.ndarray:
-    """(n, 2, n_roles) records at rising commands until the jaws meet."""
+    """(n, 2, 3, n_roles) records, moving and settled, at rising commands until the jaws meet."""
     rows = []
-    bench.place(OUT_OF_REACH)
     for command in COMMANDS:
-        bench.run(command, SETTLING)
-        row = bench.record(command)
+        row = bench.close(OUT_OF_REACH, command)
         if bench.jaws_meet:
             break
         rows.append(row)
@@ -249,32 +259,14 @@ def _in_air(bench: _Bench) -> np.ndarray:
 
 
 def _on_boxes(bench: _Bench, grasp: np.ndarray) -> np.ndarray:
-    """(n, 2, n_roles) records of squeezes of boxes in the grasp frame's origin (3,), as wide as the jaws allow."""
+    """(n, 2, 3, n_roles) records of squeezes of boxes in the grasp frame's origin (3,), as wide as the jaws allow."""
     rows = []
     for width, squeeze in product(WIDTHS, SQUEEZES):
         become_box(bench.model, bench.item, width)
         bench.place(grasp)
         if bench.holds:
             break
-        for command in np.linspace(bench.robot.gripper.preshape, squeeze, CLOSING_STEPS + 1)[1:]:
-            bench.run(command, CLOSING_STEP)
-        bench.run(squeeze, SETTLING)
-        rows.append(bench.record(squeeze))
-    return np.array(rows)
-
-
-def _closing(bench: _Bench) -> np.ndarray:
-    """(n, 2, n_roles) motions of the gripper closing in free air at its own rate until the jaws meet."""
-    gripper, rows = bench.robot.gripper, list[np.ndarray]()
-    if gripper.rate is None:
-        raise ToolkitError(f"gripper {gripper.name} is on four-bar linkages, but its card has no rate of closing; give it one")
-    bench.place(OUT_OF_REACH)
-    for command in np.arange(gripper.preshape + gripper.rate, 1.0 + gripper.rate / 2, gripper.rate):
-        for _ in range(SAMPLES):
-            bench.run(command, CLOSING_STEP / SAMPLES)
-            if bench.jaws_meet:
-                return np.array(rows)
-            rows.append(bench.motion())
+        rows.append(bench.close(grasp, squeeze))
     return np.array(rows)
 
 
@@ -282,33 +274,40 @@ def _closing(bench: _Bench) -> np.ndarray:
 
 
 def _torques(parameters: np.ndarray, curve: np.ndarray, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """(2, n) [N m]: the module's model on knuckle and pad; parameters (K, k, s, g, u, a, b), curve (c1, c2)."""
-    hold, stop, slack, gear = parameters[:4]
+    """(2, n) [N m]: the module's model on knuckle and pad; parameters (K, k, s, g, u, a, b, ...), curve (c1, c2)."""
+    hold, stop, slack, gear, *cost = parameters[:7]
     away = p - curve[0] * q - curve[1] * q**2
     pushed = np.maximum(0.0, slack - (p - gear * q))
-    cost = np.polyval(parameters[:3:-1], q)
     return np.array(
-        [-cost + hold * (curve[0] + 2.0 * curve[1] * q) * away - gear * stop * pushed, -hold * away + stop * pushed]
+        [-np.polyval(cost[::-1], q) + hold * (curve[0] + 2.0 * curve[1] * q) * away - gear * stop * pushed, -hold * away + stop * pushed]
     )
 
 
 def _fitted(air: np.ndarray, loaded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (7,) and curve (2,) from records (n, 2, 2): angle or torque, knuckle or pad.
+    """Parameters (8,), the last the knuckle's damping D, and curve (2,) from records (n, 2, 3, 2) of one finger.
 
-    The curve is the way in free air; the rest is least squares on both torques of all records.
+    The axes of a record: moving or settled; angle, torque or speed; knuckle or pad. The curve is the way in free air; the rest
+    is least squares on the torques of all records, the pads' on boxes only moving: an object is won or lost while they close.
     """
-    q, p = air[:, 0].T
+    q, p = np.concatenate(air[:, :, 0]).T
     curve = np.linalg.lstsq(np.stack([q, q**2], axis=1), p, rcond=None)[0]
 
-    def error(x: np.ndarray) -> np.ndarray:
-        in_air, on_box = (_torques(x, curve, *records[:, 0].T) - records[:, 1].T for records in (air, loaded))
-        off_curve = in_air[1] / x[0]
-        return np.concatenate([AIR_WEIGHT * in_air[0], CURVE_WEIGHT * off_curve, KNUCKLE_WEIGHT * on_box[0], on_box[1]])
+    def off(x: np.ndarray, records: np.ndarray) -> np.ndarray:
+        """(2, n): knuckle and pad."""
+        damped = np.stack([x[7] * records[:, 2, 0], np.zeros(len(records))])
+        return _torques(x, curve, *records[:, 0].T) - damped - records[:, 1].T
 
-    low = np.array([0.1, 0.0, -1.0, -2.0, -np.inf, 0.0, -np.inf])
-    high = np.array([100.0, 100.0, 1.0, 2.0, np.inf, np.inf, np.inf])
+    def error(x: np.ndarray) -> np.ndarray:
+        in_air, moving, settled = off(x, np.concatenate(air)), off(x, loaded[:, 0]), off(x, loaded[:, 1])
+        off_curve = in_air[1] / x[0]
+        return np.concatenate(
+            [AIR_WEIGHT * in_air[0], CURVE_WEIGHT * off_curve, moving[0], settled[0], moving[1], STOP_WEIGHT * x[1:2]]
+        )
+
+    low = np.array([0.1, 0.0, -1.0, -2.0, -np.inf, 0.0, -np.inf, 0.0])
+    high = np.array([100.0, 100.0, 1.0, 2.0, np.inf, np.inf, np.inf, np.inf])
     guesses = product((1.0, 3.0), (-0.3, 0.0, 0.5))  # the stop makes the valley bend: several ways in
-    fits = [least_squares(error, [hold, 3.0, 0.0, gear, 1.0, 9.0, 0.0], bounds=(low, high)) for hold, gear in guesses]
+    fits = [least_squares(error, [hold, 3.0, 0.0, gear, 1.0, 9.0, 0.0, 1.0], bounds=(low, high)) for hold, gear in guesses]
     return min(fits, key=lambda fit: fit.cost).x, curve
 
 
@@ -316,17 +315,6 @@ def _spring(u: float, a: float, b: float) -> tuple[float, float, float]:
     """Stiffness, quadratic part and rest of MuJoCo's spring that gives R(q) = u + a q + b q^2 beyond its rest."""
     rest = -2.0 * u / (a + np.sqrt(max(a * a - 4.0 * b * u, 0.0)))  # the root next to zero, also where b vanishes
     return float(a + 2.0 * b * rest), float(b), float(rest)
-
-
-def _damping(angles: np.ndarray, torques: np.ndarray, cost: np.ndarray) -> float:
-    """Damping [N m s/rad] of a knuckle, from the power that its motor spent beyond the linkage's static cost.
-
-    Args:
-        angles, torques: (n,) [rad], [N m] of knuckle and motor while the gripper closes, every CLOSING_STEP / SAMPLES.
-        cost: (3,) coefficients of R.
-    """
-    speeds = np.gradient(angles, CLOSING_STEP / SAMPLES)
-    return SLOWED * max(float((torques - np.polyval(cost[::-1], angles)) @ speeds / (speeds @ speeds)), 0.0)
 
 
 def equivalent_linkages(
@@ -347,7 +335,7 @@ def equivalent_linkages(
     digits = [DIGIT_OF[role] for role in driven]
     pads, knuckles = tuple(digit.pad for digit in digits), [digit.knuckle for digit in digits if digit.knuckle is not None]
     bench = _Bench(model, np.array(data.qpos), robot, signs, driven + pads)
-    closing, air, loaded = _closing(bench), _in_air(bench), _on_boxes(bench, grasp)
+    air, loaded = _in_air(bench), _on_boxes(bench, grasp)
     if len(air) < 3 or not len(loaded):
         raise ToolkitError(
             f"gripper {robot.gripper.name}: its linkage cannot be measured, because its jaws start closed on a box of "
@@ -358,10 +346,10 @@ def equivalent_linkages(
         axes = [signs[name] * data.xaxis[joints[name]] for name in (role, pads[i])]
         turn = float(np.sign(axes[0] @ axes[1]))
         finger, senses = [i, len(driven) + i], np.array([1.0, turn])
-        (hold, stop, slack, gear, *cost), curve = _fitted(air[..., finger] * senses, loaded[..., finger] * senses)
+        (hold, stop, slack, gear, *cost, damping), curve = _fitted(air[..., finger] * senses, loaded[..., finger] * senses)
         out.append(
             Linkage(
-                role, pads[i], knuckles[i], turn, *_spring(*cost), _damping(closing[:, 0, i], closing[:, 1, i], np.array(cost)),
+                role, pads[i], knuckles[i], turn, *_spring(*cost), float(damping),
                 (float(curve[0]), float(curve[1])), float(hold), float(stop), float(gear), float(slack),
             )
         )
