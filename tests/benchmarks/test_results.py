@@ -59,10 +59,11 @@ def test_a_tree_is_compared_with_the_independent_paths_to_its_own_targets(tmp_pa
     suite.mkdir()
     finished(suite, "tree-0", 0, 1000, 187)  # 1007 epochs, 6 iterations
     finished(suite, "alone-0", 0, 2007, 151, kind="independent")
-    finished(suite, "alone-1", 1, 2009, 151, kind="independent")
+    finished(suite, "alone-1", 1, 2013, 151, kind="independent")
+    finished(suite, "alone-three", 0, 2007, 151, kind="independent", targets=("left", "right", "up"))  # seed 0 went left the same way
     finished(suite, "other-task", 0, 5, 151, task="another")
     text = write_results(suite, "A suite", "make results").read_text()
-    assert f"| tree-0 | left, right | 6 | 6 | 1.00 | 1007 | {2008 + 7} | {2015 / 1007:.2f} |" in text
+    assert f"| tree-0 | left, right | 6 | 6 | 1.00 | 1007 | {2010 + 7} | {2017 / 1007:.2f} |" in text
     assert "| other-task | left, right | 6 |" not in text  # nobody went there alone
 
 

@@ -268,8 +268,9 @@ def sharing_table(runs: Sequence[Result]) -> list[str]:
 def _alone(run: Result, runs: Sequence[Result], key: str) -> float | None:
     """What independent paths on the run's terms cost to all of its targets, means over their seeds; None if one was not gone."""
     alike = [r for r in runs if r.report["kind"] == "independent" and r.terms == run.terms]
-    found = [[cost for r in alike if (cost := r.cost_to(target, key)) is not None] for target in run.config["targets"]]
-    return float(sum(np.mean(costs) for costs in found)) if all(found) else None
+    # One seed's way to one target is the same whatever other targets its run has: gone twice, it counts once.
+    found = [{r.report["seed"]: cost for r in alike if (cost := r.cost_to(target, key)) is not None} for target in run.config["targets"]]
+    return float(sum(np.mean(list(costs.values())) for costs in found)) if all(found) else None
 
 
 @dataclass(frozen=True)
