@@ -76,6 +76,7 @@ def test_the_cost_grows_with_the_targets_that_trees_share(tmp_path):
     for count, epochs in ((1, 550), (2, 493), (3, 386)):
         finished(suite, f"tree-{count}", 0, epochs, 190, targets=names[:count])
     finished(suite, "elsewhere", 0, 9, 190, targets=("up", "left"))  # not the first ones of the longest set
+    finished(suite, "another", 0, 9, 190, targets=("down", "right", "up"))  # as many, but nothing grew to them
     text = write_results(suite, "A suite", "make results").read_text()
     method = "| tree, L1, adaptive step | 061_foam_brick"
     assert f"{method} | 1, to left | 550 | 550 | 1.00 |" in text

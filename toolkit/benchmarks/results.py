@@ -305,8 +305,9 @@ def growth(runs: Sequence[Result]) -> list[Growth]:
         if run.shares:
             sets.setdefault((run.method, run.task), {}).setdefault(tuple(run.config["targets"]), []).append(run)
     for (method, task), groups in sets.items():
-        longest = max(groups, key=len)
-        nested = sorted((targets for targets in groups if targets == longest[: len(targets)]), key=len)
+        chain_to = {last: sorted((targets for targets in groups if targets == last[: len(targets)]), key=len) for last in groups}
+        longest = max(groups, key=lambda last: len(chain_to[last]))
+        nested = chain_to[longest]
         counts, shared, alone = [], [], []
         for targets in nested:
             independent = _alone(groups[targets][0], runs, "sim_epochs")
