@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from tasks.pick import ACTION, ACTION_SIZE, OBSERVATION
 from toolkit.demonstrations.scripts import PickScript
-from toolkit.evaluation.success import Evaluation, evaluate_native
+from toolkit.evaluation.success import Evaluation, evaluate_merged, evaluate_native
 from toolkit.learning.policy import GaussianPolicy
+from toolkit.simulation.rollout import RolloutEngine
 from toolkit.simulation.watching import States
 
 
@@ -156,3 +157,15 @@ def test_workers_leave_when_their_parent_is_killed(tmp_path):
     while Path(f"/proc/{worker}").exists() and "Z" not in Path(f"/proc/{worker}/stat").read_text().split(")")[1][:3]:
         assert time.monotonic() < deadline, f"worker {worker} outlived its parent"
         time.sleep(0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("run", "target"), [("found-asking-0", "kinova3"), ("found-independent-0", "kinova3"), ("found-tree-1", "iiwa")])
+def test_what_picks_on_robosuites_gripper_picks_on_its_merged_robot(run, target, merged, task):
+    """Policies in docs/results, 200 of 200 on the unmodified robot: F(beta) is that robot, so they pick there as well."""
+    path = Path(__file__).parents[2] / "docs" / "results" / run / f"{target}.policy.safetensors"
+    policy = GaussianPolicy.load(path, task.observation.names, task.action.names)
+    engine = RolloutEngine(merged)
+    found = evaluate_merged(policy, engine, target, 8)
+    engine.close()
+    assert found.successes >= 6, f"{found.successes} of 8"
