@@ -120,15 +120,27 @@ def test_a_fault_holds_in_its_own_tick_and_is_named(bundle, form, change, kind, 
     assert re.search(culprit, tick.fault.detail), tick.fault.detail
 
 
+@pytest.mark.parametrize("change", [{"object_position": 0.5}, {"goal": 0.5}])
+def test_a_jump_between_the_start_and_the_first_tick_is_one(bundle, change):
+    runtime = started(bundle)
+    state = start_state(bundle, 0.05)
+    moved = {key: getattr(state, key) + np.array([shift, 0.0, 0.0]) for key, shift in change.items()}
+    tick = runtime.tick(changed(state, **moved), 0.05)
+    assert tick.fault is not None and tick.fault.kind == "observation_jump" and tick.command.hold
+
+
 @pytest.mark.parametrize("consecutive", [True, False])
 def test_steps_at_the_goal_count_as_the_bundle_says(bundle, consecutive):
     """The goal now nearer to the object than the tolerance, now farther; counted here by runs of ones."""
     simulation = bundle.manifest.simulation
     says = dataclasses.replace(simulation, holding=dataclasses.replace(simulation.holding, consecutive=consecutive))
-    manifest = dataclasses.replace(bundle.manifest, simulation=says)
-    task, rng, outcomes = manifest.task, np.random.default_rng(0), []
+    task, rng, outcomes = bundle.manifest.task, np.random.default_rng(0), []
+    offset = (0.0, 0.0, task.goal_tolerance_m)
+    manifest = dataclasses.replace(bundle.manifest, simulation=says, task=dataclasses.replace(task, goal_offset_m=offset))
     for _ in range(4):
-        runtime = started(dataclasses.replace(bundle, manifest=manifest))
+        runtime = Runtime(dataclasses.replace(bundle, manifest=manifest), info_of(manifest), "osc", lambda observation: np.zeros(7))
+        state = start_state(bundle)
+        assert runtime.begin(changed(state, goal=state.object_position + offset), 0.0) is None
         near = rng.uniform(size=4 * task.hold_steps) < 0.9
         for number, at_goal in enumerate(near):
             state = start_state(bundle, 0.05 * number)

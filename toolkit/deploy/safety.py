@@ -145,7 +145,8 @@ class Guard:
         fault = self._start_gripper(state) or self._start_object(state)
         if fault:
             return fault
-        self.observer(state, self.manifest.gripper.preshape)
+        # The first tick follows from here: what has jumped until then has jumped.
+        self._last, self._seen = self.observer(state, self.manifest.gripper.preshape), self._stamp
         kinematics = self.observer.kinematics
         shift = float(np.linalg.norm(kinematics.position - np.array(start.grasp_position_m)))
         turn = float(np.linalg.norm(vector_of(kinematics.rotation @ kinematics.start_rotation.T)))
