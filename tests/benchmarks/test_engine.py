@@ -34,16 +34,6 @@ OTHER_ARMS = list({robot.arm: robot for robot in ROBOTS.values() if robot.arm !=
 
 
 @pytest.fixture(scope="module")
-def space(pair):
-    return pair.space
-
-
-@pytest.fixture(scope="module")
-def merged(pair):
-    return pair.merged
-
-
-@pytest.fixture(scope="module")
 def expert(task):
     return load_expert(SOURCE.name, task)[0]
 
@@ -73,9 +63,9 @@ def test_episodes_end_as_under_robosuite(native, native_fast, expert):
     assert found.same == found.episodes == 3, found
 
 
-def test_the_recorded_controls_play_the_engines_physics(merged, space, expert):
+def test_the_recorded_controls_play_the_engines_physics(pair, expert):
     """So that bare mj_step is timed on the very motion that the engine is timed on."""
-    plant, bare = (merged_plant(merged, space.beta("kinova3"), *merged.new()) for _ in range(2))
+    plant, bare = (merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new()) for _ in range(2))
     stretches = record(plant, expert.act)
     assert stretches.contacts > 2, f"{stretches.contacts} contacts: nothing is grasped in the recorded episode"
     for index in (0, len(stretches.states) - 1):
@@ -89,18 +79,18 @@ def test_the_recorded_controls_play_the_engines_physics(merged, space, expert):
         assert len(stretches.controls[index]) == STRETCH * plant.substeps
 
 
-def test_the_parts_of_a_step_add_up(merged, space, expert):
-    shares = time_shares(merged_plant(merged, space.beta("kinova3"), *merged.new()), expert.act)
+def test_the_parts_of_a_step_add_up(pair, expert):
+    shares = time_shares(merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new()), expert.act)
     step = shares.pop("microseconds")
     assert step > 1 and sum(shares.values()) == pytest.approx(1.0)
     assert min(shares.values()) > 0 and shares["constraint solver"] > 0.05, shares
 
 
-def test_memory_does_not_grow_with_episodes(merged, space):
+def test_memory_does_not_grow_with_episodes(pair):
     """Short episodes, so that there are many; a leak of a model, a plant or a state each would show."""
-    brief = MergedRobot(space, dataclasses.replace(merged.task, horizon=1))
+    brief = MergedRobot(pair.space, dataclasses.replace(pair.merged.task, horizon=1))
     engine = RolloutEngine(brief, threads=2)
-    alphas = [0.5 * (space.betas[0] + beta) for beta in space.betas]
+    alphas = [0.5 * (pair.space.betas[0] + beta) for beta in pair.space.betas]
 
     def peak():
         for seed in range(0, 400, 40):
@@ -114,8 +104,8 @@ def test_memory_does_not_grow_with_episodes(merged, space):
 
 
 @pytest.mark.slow
-def test_the_report_keeps_its_contract(merged, expert):
-    measured = measure_engine([ROBOTS["kinova3"]], merged, expert.act, episodes=0, rounds=1, scale=False)
+def test_the_report_keeps_its_contract(pair, expert):
+    measured = measure_engine([ROBOTS["kinova3"]], pair.merged, expert.act, episodes=0, rounds=1, scale=False)
     found = json.loads(json.dumps(measured, allow_nan=False))
     (row,) = found["robots"]
     keys = {"name", "parity_qpos", "control_steps_per_s", "robosuite_control_steps_per_s", "ratio_to_robosuite", "ratio_to_bare_mj_step"}

@@ -156,8 +156,8 @@ def test_a_box_is_slippery_and_the_linkage_is_not(native):
 
 
 def test_the_pads_feel_what_robosuites_do_while_they_close(merged, native, task):
-    """Both grippers close on a box at their own rate: angles and torques of knuckle and pad, as they move."""
-    from toolkit.benchmarks.parity import _merged_side, _native_side
+    """Both grippers close on a box at their own rate: the force on it, step by step."""
+    from toolkit.benchmarks.parity import _force_on, _merged_side, _native_side
 
     for name in FOUR_BAR:
         mine, own = _merged_side(merged, merged.space.matching.names.index(name)), _native_side(ROBOTS[name], task)
@@ -170,16 +170,7 @@ def test_the_pads_feel_what_robosuites_do_while_they_close(merged, native, task)
             law, row = side.plant.law, []
             for command in np.arange(law.preshape + law.rate, 1.01, law.rate):
                 side.close_to(model, data, min(command, 1.0), 1.0 / side.plant.task.control_frequency)
-                row.append(_force(model, data, side.item))
+                row.append(_force_on(model, data, side.item))
             forces.append(row)
         assert max(forces[1]) > 10, f"{name} grips with {max(forces[1]):.1f} N"
         assert np.abs(np.subtract(*forces)).max() < 0.35 * max(forces[1]), f"{name}: {np.round(forces, 1)} N"
-
-
-def _force(model, data, body):
-    """Sum of the normal forces [N] on a body."""
-    force, total = np.zeros(6), 0.0
-    for index in np.flatnonzero(np.any(model.geom_bodyid[data.contact.geom] == body, axis=1)):
-        mujoco.mj_contactForce(model, data, index, force)
-        total += force[0]
-    return total

@@ -47,7 +47,7 @@ HELD_FADING = 8.0
 SOFT = 0.85
 """Impedance of the constraint that holds a pad to its curve: it adds six times the apparent inertia of the two joints. The contacts
 of meshes that hold robosuite's own have 0.95. With less than 0.7 a pad swings by 3 degrees whenever its knuckle starts, meets the
-object askew, and needs a time constant below two time steps, which MuJoCo does not give; with 0.95 it follows late."""
+object askew, and needs a time constant below two time steps, which MuJoCo does not give; at 0.95 the IIWA's held less."""
 IMPEDANCE = np.array([0.9, 0.95])
 """MuJoCo's default impedance of a constraint, at rest and displaced."""
 BOTH_WAYS = np.array([-1.0, 1.0])

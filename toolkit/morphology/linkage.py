@@ -9,10 +9,10 @@ of two angles is fitted to them: with the knuckle at q, the pad at p (merged ang
     on the pad              -K      (p - P(q)) +   k max(0, s - (p - g q))      P(q) = c1 q + c2 q^2
 
 R is what the linkage costs the motor, P the pad's way in free air, K how softly it keeps to it, and the last term the stop
-against which an object turns the pad. A damper on the knuckle lets it arrive in the same time. Friction within the linkage is
-left out: closing is fitted, opening lags by it. But it decides where a pad goes: closed ten times slower than a task does, or
-with slippery meshes, the Robotiq 85's pads turn three times as far in free air and feel a fifth of the hold. So the rate is the
-gripper's own, and a box is slippery while the linkage is not.
+against which an object turns the pad. A damper on the knuckle, fitted with them, lets it arrive in the same time. Friction within
+the linkage is left out: closing is fitted, opening lags by it. But it decides where a pad goes: closed 25 times slower than a task
+does, or with slippery meshes, the Robotiq 85's pads turn three times as far in free air and feel a fifth of the hold. So the rate
+is the gripper's own, and a box is slippery while the linkage is not.
 """
 
 import copy
@@ -289,7 +289,8 @@ def _fitted(air: np.ndarray, loaded: np.ndarray) -> tuple[np.ndarray, np.ndarray
     The axes of a record: moving or settled; angle, torque or speed; knuckle or pad. The curve is the way in free air; the rest
     is least squares on the torques of all records, the pads' on boxes only moving: an object is won or lost while they close.
     """
-    q, p = np.concatenate(air[:, :, 0]).T
+    free = np.concatenate(air)
+    q, p = free[:, 0].T
     curve = np.linalg.lstsq(np.stack([q, q**2], axis=1), p, rcond=None)[0]
 
     def off(x: np.ndarray, records: np.ndarray) -> np.ndarray:
@@ -298,7 +299,7 @@ def _fitted(air: np.ndarray, loaded: np.ndarray) -> tuple[np.ndarray, np.ndarray
         return _torques(x, curve, *records[:, 0].T) - damped - records[:, 1].T
 
     def error(x: np.ndarray) -> np.ndarray:
-        in_air, moving, settled = off(x, np.concatenate(air)), off(x, loaded[:, 0]), off(x, loaded[:, 1])
+        in_air, moving, settled = off(x, free), off(x, loaded[:, 0]), off(x, loaded[:, 1])
         off_curve = in_air[1] / x[0]
         return np.concatenate(
             [AIR_WEIGHT * in_air[0], CURVE_WEIGHT * off_curve, moving[0], settled[0], moving[1], STOP_WEIGHT * x[1:2]]
