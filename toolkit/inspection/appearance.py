@@ -1,7 +1,8 @@
 """What robots look like: the visual meshes of the unmodified robots, link by link, hung on the merged robot's links; any geom as a mesh.
 
-Physics never sees them. A link's meshes and primitives become one triangle mesh, simplified to a grid; two links that look
-alike (arms that robots share, left and right jaws) share one mesh.
+A link that fades in or out has its anchor where some other robot's joint is, and its collision geoms within the finger that is
+there: the meshes go with the geoms. Physics never sees them. A link's meshes and primitives become one triangle mesh, simplified
+to a grid; two links that look alike (arms that robots share, left and right jaws) share one mesh.
 """
 
 import hashlib
@@ -11,8 +12,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from toolkit.morphology.matching import Matching, System
+from toolkit.morphology.matching import System
 from toolkit.morphology.native_scene import ARM_PREFIX, plain_name
+from toolkit.morphology.space import EvolutionSpace
 
 GRID = 0.002
 """Cell [m] to which vertices are gathered: below what a screen shows of a whole robot."""
@@ -48,6 +50,7 @@ class Instance:
         robot: index in the matching.  mesh: index in the appearance's meshes.
         body: id in the robot's own scene.  slot: index of the link that carries it, -1 for the world.
         position: (3,) [m] and quaternion: (4,) w first, of the mesh in that slot's frame.
+        shapes: indices of the space's shape slots that the robot has on that link.  centre: (3,) [m], their mean in the slot's frame.
     """
 
     robot: int
@@ -56,21 +59,23 @@ class Instance:
     slot: int
     position: np.ndarray
     quaternion: np.ndarray
+    shapes: tuple[int, ...]
+    centre: np.ndarray
 
 
 class Appearance:
-    """The meshes of all robots of a matching, each once, and where they hang.
+    """The meshes of all robots of a space, each once, and where they hang.
 
     Args:
-        matching: the merged tree.
+        space: of the merged robot.
 
     Attributes:
         meshes: without repetition.
         instances: every link of every robot.
     """
 
-    def __init__(self, matching: Matching) -> None:
-        self.matching = matching
+    def __init__(self, space: EvolutionSpace) -> None:
+        matching = space.matching
         self.meshes: list[Mesh] = []
         self.instances: list[Instance] = []
         known: dict[bytes, int] = {}
@@ -79,19 +84,23 @@ class Appearance:
                 if mesh.digest not in known:
                     known[mesh.digest] = len(self.meshes)
                     self.meshes.append(mesh)
-                self.instances.append(_instance(index, system, matching, known[mesh.digest], body))
+                self.instances.append(_instance(index, system, space, known[mesh.digest], body))
 
-    def poses(self, data: mujoco.MjData, links: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def poses(
+        self, model: mujoco.MjModel, data: mujoco.MjData, links: Sequence[int], shapes: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """World positions (n_instances, 3) [m] and quaternions (n_instances, 4) of all instances on a merged robot.
 
         Args:
-            data: of the merged robot, body frames computed.
-            links: body ids (n_slots,) of its slots.
+            model, data: the merged robot, body frames computed.
+            links: body ids (n_slots,) of its slots.  shapes: geom ids (n_shapes,) of its shape slots.
         """
+        shape_positions = model.geom_pos[shapes]
         positions, quaternions = np.empty((len(self.instances), 3)), np.empty((len(self.instances), 4))
         for k, item in enumerate(self.instances):
             body = links[item.slot] if item.slot >= 0 else 0
-            mujoco.mju_rotVecQuat(positions[k], item.position, data.xquat[body])
+            moved = shape_positions[list(item.shapes)].mean(axis=0) - item.centre if item.shapes else 0.0
+            mujoco.mju_rotVecQuat(positions[k], item.position + moved, data.xquat[body])
             positions[k] += data.xpos[body]
             mujoco.mju_mulQuat(quaternions[k], data.xquat[body], item.quaternion)
         return positions, quaternions
@@ -110,18 +119,22 @@ def weights(alpha: np.ndarray, betas: np.ndarray) -> np.ndarray:
     return np.array([1.0 - shares.max(), *shares])
 
 
-def _instance(index: int, system: System, matching: Matching, mesh: int, body: int) -> Instance:
+def _instance(index: int, system: System, space: EvolutionSpace, mesh: int, body: int) -> Instance:
     data = mujoco.MjData(system.model)
     data.qpos[:] = system.start
     mujoco.mj_kinematics(system.model, data)
-    slot = _slot_of(system, matching, body)
+    slot = _slot_of(system, body)
     # At the start posture a slot's frame has world axes and stands at its anchor.
     joint = system.joints[slot] if slot >= 0 else None
     anchor = np.zeros(3) if joint is None else joint.screw.anchor
-    return Instance(index, mesh, body, slot, np.array(data.xpos[body]) - anchor, np.array(data.xquat[body]))
+    own = {k: shape.owners[index] for k, shape in enumerate(space.shape_slots) if shape.slot == slot}
+    centres = {k: owner.position - anchor for k, owner in own.items() if owner is not None}
+    centre = np.mean(list(centres.values()), axis=0) if centres else np.zeros(3)
+    position, quaternion = np.array(data.xpos[body]) - anchor, np.array(data.xquat[body])
+    return Instance(index, mesh, body, slot, position, quaternion, tuple(centres), centre)
 
 
-def _slot_of(system: System, matching: Matching, body: int) -> int:
+def _slot_of(system: System, body: int) -> int:
     """The slot whose joint carries a body; -1: fixed to the world. A gripper's fixed parts ride on the flange."""
     slots = {joint.mujoco_joint: slot for slot, joint in enumerate(system.joints) if joint is not None and joint.mujoco_joint >= 0}
     while body > 0:

@@ -180,14 +180,14 @@ class ArmVisual(Visual):
     carried: Mesh
 
     def __init__(self, merged: MergedRobot) -> None:
-        self.merged, self.appearance = merged, Appearance(merged.space.matching)
+        self.merged, self.appearance = merged, Appearance(merged.space)
         template = merged.template
         self.links = [template.body(slot.name).id for slot in merged.space.matching.slots]
         self._object = template.body("object").id
         bones = [template.geom(f"{slot.name}/bone").id for slot in merged.space.matching.slots]
-        shapes = [template.geom(shape.name).id for shape in merged.space.shape_slots]
-        boxes = [geom for geom in shapes if template.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX]
-        self._geoms = {"bones": bones, "pads": [geom for geom in shapes if geom not in boxes], "boxes": boxes}
+        self._shapes = [template.geom(shape.name).id for shape in merged.space.shape_slots]
+        boxes = [geom for geom in self._shapes if template.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX]
+        self._geoms = {"bones": bones, "pads": [geom for geom in self._shapes if geom not in boxes], "boxes": boxes}
         self.meshes = self.appearance.meshes
         self.instances = np.array([(item.mesh, item.robot) for item in self.appearance.instances])
         self.primitives = {"bones": Primitives("capsules", np.array(BONE), thinness=BONE_SHARE),
@@ -242,7 +242,7 @@ class ArmVisual(Visual):
         return Motion(positions, quaternions, shares, dict.fromkeys(self.primitives, none), carried)
 
     def _frame(self, model: mujoco.MjModel, data: mujoco.MjData, shares: np.ndarray) -> Motion:
-        positions, quaternions = self.appearance.poses(data, self.links)
+        positions, quaternions = self.appearance.poses(model, data, self.links, self._shapes)
         parts = {name: _of_geoms(model, data, geoms) for name, geoms in self._geoms.items()}
         carried = np.array([*data.xpos[self._object], *data.xquat[self._object]])
         return Motion(positions[None], quaternions[None], shares[None], parts, carried[None])

@@ -1,0 +1,42 @@
+"""The meshes of the unmodified robots on a merged one: whole on the way, and each robot's own at its own parameters."""
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from toolkit.inspection.visual import ArmVisual
+
+
+@pytest.fixture(scope="module")
+def visual(pair):
+    return ArmVisual(pair.merged)
+
+
+def drawn(visual, motion, frame, instance):
+    """Vertices (n, 3) [m] of an instance's mesh where it is drawn."""
+    turn = Rotation.from_quat(motion.quaternions[frame, instance], scalar_first=True)
+    return turn.apply(visual.meshes[visual.instances[instance, 0]].vertices) + motion.positions[frame, instance]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.45, 0.6, 0.9])
+def test_the_thumbs_tip_stays_at_its_middle_link(pair, visual, share):
+    """Its anchor goes to where the jaw's joint is, centimetres from the hand's thumb; what touches does not, nor what is drawn."""
+    source, target = pair.space.betas
+    motion = visual.standing([source + share * (target - source)])
+    names = [visual.meshes[mesh].name for mesh, robot in visual.instances if robot == 0]
+    middle, tip = (drawn(visual, motion, 0, names.index(link)) for link in ("thmiddle", "thdistal"))
+    assert cKDTree(middle).query(tip)[0].min() < 0.006
+
+
+def test_at_its_own_parameters_a_robot_looks_as_its_own_scene_has_it(pair, visual):
+    for robot, (beta, system) in enumerate(zip(pair.space.betas, pair.space.matching.systems, strict=True)):
+        motion = visual.standing([beta])
+        data = mujoco.MjData(system.model)
+        data.qpos[:] = system.start
+        mujoco.mj_kinematics(system.model, data)
+        own = [k for k, item in enumerate(visual.appearance.instances) if item.robot == robot]
+        bodies = [visual.appearance.instances[k].body for k in own]
+        assert any(visual.appearance.instances[k].shapes for k in own)
+        np.testing.assert_allclose(motion.positions[0, own], data.xpos[bodies], atol=1e-9)
