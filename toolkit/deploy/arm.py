@@ -1,6 +1,7 @@
 """What the runtime and an arm say to each other: State, Command, ArmInfo, Driver. SI units; quaternions w first."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -13,6 +14,10 @@ Form = Literal["osc", "pose", "joint"]
 FORMS: tuple[Form, ...] = ("osc", "pose", "joint")
 NEWS = 0.005
 """Change of the opening, 0 to 1, from which a gripper of a slow line is told."""
+Scene = Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray, float]]
+"""Where the object and the goal are: position (3,) [m], quaternion (4,), goal (3,) [m], task frame, and the stamp [s]."""
+Grip = Callable[[float, float], None]
+"""Move the gripper to an opening, 0 closed to 1 open, which is so many metres."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,4 +5,6 @@
     franka.py    Franka through franky                          (tested against a fake; never run on hardware)
     kortex.py    Kinova Gen3 through kortex_api                 (tested against a fake; never run on hardware)
     ros2.py      any arm behind ros2_control, through rclpy     (tested against a fake; never run on hardware)
+
+Two of these want to be told more often than the policy decides: streaming.py feeds them. stamps.py tells how old a device's states are.
 """

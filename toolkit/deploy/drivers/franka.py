@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.deploy.arm import WALL, ArmInfo, Clock, Command, State
+from toolkit.deploy.arm import WALL, ArmInfo, Clock, Command, Scene, State
 from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
-from toolkit.deploy.drivers.ur import Scene
 from toolkit.errors import ToolkitError
 
 RATE = 20.0

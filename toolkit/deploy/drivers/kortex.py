@@ -10,23 +10,21 @@ told otherwise, so the thread is its watchdog, and the session's own timeout is 
 """
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from toolkit.bundle.makers import JOINT_SPEEDS
-from toolkit.deploy.arm import NEWS, WALL, ArmInfo, Clock, Command, State
+from toolkit.deploy.arm import NEWS, WALL, ArmInfo, Clock, Command, Scene, State
 from toolkit.deploy.drivers.stamps import Changes, least_fresh
-from toolkit.deploy.drivers.ur import Scene
+from toolkit.deploy.drivers.streaming import Streamer
 from toolkit.errors import ToolkitError
 
 RATE = 40.0
 """[Hz] of Kinova's high-level commands."""
 CORRECTION = 2.0
 """[1/s] by which a joint that lags is sped up: speeds alone would drift."""
-WATCHDOG = 0.2
-"""[s] without a command after which the arm is stopped."""
 PORT = 10000
 """TCP port of Kortex, as in Kinova's own examples."""
 SESSION_TIMEOUT, CONNECTION_TIMEOUT = 10_000, 2_000
@@ -49,6 +47,16 @@ class _Api(NamedTuple):
     errors: tuple[type[BaseException], ...]
 
 
+class _Connection(NamedTuple):
+    """What is there from ``listen`` or ``connect`` until ``stop``."""
+
+    api: _Api
+    transport: Any
+    session: Any
+    base: Any
+    cyclic: Any
+
+
 class Kortex:
     """A Gen3.
 
@@ -66,18 +74,10 @@ class Kortex:
     ) -> None:
         self.host, self.robot, self.names, self.scene, self.account, self.clock = host, robot, tuple(joints), scene, account, clock
         self._fastest = np.array(JOINT_SPEEDS.get(robot, (np.inf,) * len(self.names)))
-        self._api: _Api | None = None
-        self._transport: Any = None
-        self._session: Any = None
-        self._base: Any = None
-        self._cyclic: Any = None
+        self._connection: _Connection | None = None
         self._line = threading.Lock()  # one request at a time: whether the router takes two is not said
-        self._lock, self._ended = threading.Lock(), threading.Event()
-        self._command: Command | None = None
-        self._sent = 0.0
-        self._streamer: threading.Thread | None = None
+        self._streamer = Streamer(clock)
         self._told: float | None = None
-        self._trouble = ""
         self._measured = np.zeros(len(self.names))
         self._changed = Changes(clock.now)
 
@@ -87,20 +87,20 @@ class Kortex:
         Raises:
             ToolkitError: kortex_api is not installed, or the arm does not answer or does not know the account.
         """
-        self._api = api = _package()
-        self._transport = api.TCPTransport()
+        api = _package()
+        transport, session = api.TCPTransport(), None
         try:
-            self._transport.connect(self.host, PORT)
-            router = api.RouterClient(self._transport, api.RouterClient.basicErrorCallback)
+            transport.connect(self.host, PORT)
+            router = api.RouterClient(transport, api.RouterClient.basicErrorCallback)
             wanted = api.Session_pb2.CreateSessionInfo()
             wanted.username, wanted.password = self.account
             wanted.session_inactivity_timeout, wanted.connection_inactivity_timeout = SESSION_TIMEOUT, CONNECTION_TIMEOUT
-            session = api.SessionManager(router)
-            session.CreateSession(wanted)
-            self._session = session
-            self._base, self._cyclic = api.BaseClient(router), api.BaseCyclicClient(router)
+            sessions = api.SessionManager(router)
+            sessions.CreateSession(wanted)
+            session = sessions
+            self._connection = _Connection(api, transport, session, api.BaseClient(router), api.BaseCyclicClient(router))
         except api.errors as error:
-            self._leave()
+            _close(api, transport, session)
             raise ToolkitError(f"no Gen3 answers at {self.host} ({error}); is it on, and are user and password right?") from None
         return ArmInfo(self.robot, self.names, (), ("joint",), RATE)
 
@@ -112,19 +112,18 @@ class Kortex:
         """
         info = self.listen()
         try:
-            trouble = self._complaint(self._ask(self._cyclic.RefreshFeedback))
+            connection = self._connected
+            trouble = self._complaint(self._ask(connection.cyclic.RefreshFeedback))
             if trouble:
                 raise ToolkitError(f"the arm at {self.host} is not ready ({trouble}); clear it on the arm, by hand")
-            mode = self._api.Base_pb2.ServoingModeInformation()
-            mode.servoing_mode = self._api.Base_pb2.SINGLE_LEVEL_SERVOING
-            self._ask(self._base.SetServoingMode, mode)
+            mode = connection.api.Base_pb2.ServoingModeInformation()
+            mode.servoing_mode = connection.api.Base_pb2.SINGLE_LEVEL_SERVOING
+            self._ask(connection.base.SetServoingMode, mode)
         except ToolkitError:
             self._leave()
             raise
-        self._ended.clear()
-        self._trouble, self._command, self._told = "", None, None
-        streamer = self._streamer = threading.Thread(target=self._stream, daemon=True)
-        streamer.start()
+        self._told = None
+        self._streamer.begin(self._cycles(), self._drive, self._halt)
         return info
 
     def read(self) -> State:
@@ -135,7 +134,7 @@ class Kortex:
             ToolkitError: the arm does not answer, has another number of joints, or no gripper: Kortex gives empty lists for what is not
                 there.
         """
-        feedback = self._ask(self._cyclic.RefreshFeedback)
+        feedback = self._ask(self._connected.cyclic.RefreshFeedback)
         position, quaternion, goal, stamp = self.scene()
         actuators, motors = feedback.actuators, feedback.interconnect.gripper_feedback.motor
         if len(actuators) != len(self.names):
@@ -145,12 +144,11 @@ class Kortex:
         changed = self._changed([(actuator.position, actuator.velocity, actuator.torque) for actuator in actuators])
         angles = np.radians([actuator.position for actuator in actuators])
         measured = (angles + np.pi) % (2 * np.pi) - np.pi
-        with self._lock:
-            self._measured = measured
+        self._measured = measured
         return State(
             least_fresh(self.clock.now(), stamp, changed), measured, position, quaternion, goal, opening=1.0 - motors[0].position / 100.0,
             speeds=np.radians([actuator.velocity for actuator in actuators]),
-            efforts=np.array([actuator.torque for actuator in actuators], float), fault=self._trouble or self._complaint(feedback),
+            efforts=np.array([actuator.torque for actuator in actuators], float), fault=self._streamer.trouble or self._complaint(feedback),
         )
 
     def _complaint(self, feedback: Any) -> str:
@@ -168,53 +166,40 @@ class Kortex:
         """
         if command.form != "joint":
             raise ToolkitError(f"this driver takes joint commands, not {command.form!r}")
-        if self._trouble:
-            raise ToolkitError(f"the arm has stopped: {self._trouble}")
-        with self._lock:
-            self._command, self._sent = command, self.clock.now()
+        self._streamer.send(command)
         if not command.hold and (self._told is None or abs(command.opening - self._told) >= NEWS):
-            messages = self._api.Base_pb2
+            messages = self._connected.api.Base_pb2
             gripper = messages.GripperCommand()
             gripper.mode = messages.GRIPPER_POSITION
             finger = gripper.gripper.finger.add()
             finger.finger_identifier, finger.value = 1, 1.0 - command.opening
-            self._ask(self._base.SendGripperCommand, gripper)
+            self._ask(self._connected.base.SendGripperCommand, gripper)
             self._told = command.opening
         return command
 
     def stop(self, reason: str) -> None:
         """See Driver."""
-        self._trouble = self._trouble or reason
-        self._ended.set()
-        if self._streamer is not None and self._streamer is not threading.current_thread():
-            self._streamer.join(timeout=1.0)
+        if self._streamer.end(reason):
             try:
-                self._ask(self._base.Stop)
+                self._halt()
             except ToolkitError:
                 pass  # it is gone: its own timeout stops it
-            self._streamer = None
         self._leave()
 
-    def _stream(self) -> None:
-        """Feed the arm at its own rate until it is stopped."""
-        still, due = True, self.clock.now()
-        while not self._ended.is_set():
-            with self._lock:
-                command, age, measured = self._command, self.clock.now() - self._sent, self._measured
-            try:
-                if command is None or command.hold or age > WATCHDOG:
-                    if not still:
-                        self._ask(self._base.Stop)
-                        still = True
-                else:
-                    self._ask(self._base.SendJointSpeedsCommand, self._speeds(command, age, measured))
-                    still = False
-            except ToolkitError as error:
-                self._trouble = str(error)
-                return
+    def _cycles(self) -> Iterator[None]:
+        """The driver's own periods: what is missed is not made up."""
+        due = self.clock.now()
+        while True:
+            yield
             now = self.clock.now()
             due = max(due + 1.0 / RATE, now)
             self.clock.sleep(due - now)
+
+    def _drive(self, command: Command, age: float) -> None:
+        self._ask(self._connected.base.SendJointSpeedsCommand, self._speeds(command, age, self._measured))
+
+    def _halt(self) -> None:
+        self._ask(self._connected.base.Stop)
 
     def _speeds(self, command: Command, age: float, measured: np.ndarray) -> Any:
         """Kortex's message for the waypoint that is due. A next command that is late by less than a period does not make the arm falter;
@@ -222,11 +207,22 @@ class Kortex:
         place = min(int(age * RATE), len(command.waypoints) - 1)
         rate = command.rate if age < (len(command.waypoints) + 1) / RATE else np.zeros(len(self.names))
         lag = (command.waypoints[place] - measured + np.pi) % (2 * np.pi) - np.pi
-        speeds = self._api.Base_pb2.JointSpeeds()
+        speeds = self._connected.api.Base_pb2.JointSpeeds()
         for i, speed in enumerate(np.degrees(np.clip(rate + CORRECTION * lag, -self._fastest, self._fastest))):
             joint = speeds.joint_speeds.add()
             joint.joint_identifier, joint.value, joint.duration = i, float(speed), 0
         return speeds
+
+    @property
+    def _connected(self) -> _Connection:
+        """The connection.
+
+        Raises:
+            ToolkitError: there is none, or no more.
+        """
+        if self._connection is None:
+            raise ToolkitError(f"the arm at {self.host} is not connected; connect first")
+        return self._connection
 
     def _ask(self, call: Any, *arguments: Any) -> Any:
         """One request to the arm.
@@ -237,21 +233,26 @@ class Kortex:
         try:
             with self._line:
                 return call(*arguments)
-        except self._api.errors as error:
+        except self._connected.api.errors as error:
             raise ToolkitError(f"the arm at {self.host} refuses or does not answer ({error})") from None
 
     def _leave(self) -> None:
         """End session and connection; may be called twice."""
-        session, transport, self._session, self._transport = self._session, self._transport, None, None
-        try:
-            if session is not None:
-                options = self._api.RouterClientSendOptions()
-                options.timeout_ms = 1000
-                session.CloseSession(options)
-        except self._api.errors:
-            pass  # the arm ends it by itself
-        if transport is not None:
-            transport.disconnect()
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            _close(connection.api, connection.transport, connection.session)
+
+
+def _close(api: _Api, transport: Any, session: Any) -> None:
+    """End a session, if there is one, and its connection."""
+    try:
+        if session is not None:
+            options = api.RouterClientSendOptions()
+            options.timeout_ms = 1000
+            session.CloseSession(options)
+    except api.errors:
+        pass  # the arm ends it by itself
+    transport.disconnect()
 
 
 def _package() -> _Api:

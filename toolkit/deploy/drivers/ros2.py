@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 
 from toolkit.bundle.manifest import Manifest
-from toolkit.deploy.arm import NEWS, WALL, ArmInfo, Clock, Command, State
+from toolkit.deploy.arm import NEWS, WALL, ArmInfo, Clock, Command, Grip, Scene, State
 from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
-from toolkit.deploy.drivers.ur import Grip, Scene
 from toolkit.deploy.kinematics import matrix_of, quaternion_of
 from toolkit.errors import ToolkitError
 

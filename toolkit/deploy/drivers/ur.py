@@ -7,18 +7,19 @@
 ur_rtde speaks rad and m like the runtime; a pose is a position and a rotation vector in the arm's base frame. That frame is
 the controller's: it is turned by half a turn about z from the base body of robosuite's UR5e, as in ROS (base to base_link);
 ``base_turn`` says so. Its watchdog stops the robot program when no command has come for 100 ms; ours stops feeding it
-``WATCHDOG`` seconds after the last command.
+so long after the last command as ``streaming.WATCHDOG`` says.
 """
 
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from toolkit.deploy.arm import WALL, ArmInfo, Clock, Command, State
+from toolkit.deploy.arm import WALL, ArmInfo, Clock, Command, Grip, Scene, State
 from toolkit.deploy.drivers.stamps import DeviceClock, least_fresh
+from toolkit.deploy.drivers.streaming import Streamer
 from toolkit.deploy.kinematics import matrix_of, vector_of
 from toolkit.errors import ToolkitError
 
@@ -28,13 +29,6 @@ LOOKAHEAD, GAIN = 0.1, 300.0
 """servoJ's and servoL's smoothing time [s] (0.03 to 0.2) and gain (100 to 2000): Universal Robots' defaults."""
 DECELERATION = 4.0
 """[m/s^2, rad/s^2] of a hold."""
-WATCHDOG = 0.2
-"""[s] without a command after which the arm is held."""
-
-Scene = Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray, float]]
-"""Where the object and the goal are: position (3,) [m], quaternion (4,), goal (3,) [m], task frame, and the stamp [s]."""
-Grip = Callable[[float, float], None]
-"""Move the gripper to an opening, 0 closed to 1 open, which is so many metres."""
 
 
 class UniversalRobots:
@@ -67,11 +61,7 @@ class UniversalRobots:
         self.base_turn = np.diag([-1.0, -1.0, 1.0]) if base_turn is None else np.array(base_turn)
         self._control: Any = None
         self._receive: Any = None
-        self._lock, self._ended = threading.Lock(), threading.Event()
-        self._command: Command | None = None
-        self._sent = 0.0
-        self._streamer: threading.Thread | None = None
-        self._trouble = ""
+        self._streamer = Streamer(clock)
         self._stamped = DeviceClock(self.clock.now)
 
     def listen(self) -> ArmInfo:
@@ -97,15 +87,12 @@ class UniversalRobots:
         control, receive = _package()
         try:
             self._receive = receive.RTDEReceiveInterface(self.host)
-            self._control = control.RTDEControlInterface(self.host, RATE)
+            self._control = moving = control.RTDEControlInterface(self.host, RATE)
         except RuntimeError as error:
             raise ToolkitError(f"no robot answers at {self.host} ({error}); is it on, and in remote mode?") from None
         self._stamped = DeviceClock(self.clock.now)
-        self._control.setWatchdog(10.0)  # [Hz] at least
-        self._ended.clear()
-        self._trouble, self._command = "", None
-        streamer = self._streamer = threading.Thread(target=self._stream, daemon=True)
-        streamer.start()
+        moving.setWatchdog(10.0)  # [Hz] at least
+        self._streamer.begin(_cycles(moving), partial(self._servo, moving), partial(moving.servoStop, DECELERATION))
         return ArmInfo(self.robot, self.names, (), ("joint", "pose"), RATE)
 
     def read(self) -> State:
@@ -119,7 +106,7 @@ class UniversalRobots:
         joints, speeds, efforts = (np.array(read(), float) for read in (receive.getActualQ, receive.getActualQd, receive.getTargetMoment))
         if len(joints) != len(self.names):
             raise ToolkitError(f"the arm reports {len(joints)} joints, not {len(self.names)}; is it still connected?")
-        fault = self._trouble or ("" if receive.isConnected() else "the connection to the controller is lost")
+        fault = self._streamer.trouble or ("" if receive.isConnected() else "the connection to the controller is lost")
         fault = fault or ("emergency stop" if receive.isEmergencyStopped() else "")
         fault = fault or ("protective stop" if receive.isProtectiveStopped() else "")
         position, quaternion, goal, stamp = self.scene()
@@ -137,55 +124,44 @@ class UniversalRobots:
         """
         if command.form == "osc":
             raise ToolkitError("a Universal Robots controller knows no robosuite deltas; use joint or pose commands")
-        if self._trouble:
-            raise ToolkitError(f"the arm has stopped: {self._trouble}")
-        with self._lock:
-            self._command, self._sent = command, self.clock.now()
+        self._streamer.send(command)
         if not command.hold:
             self.gripper(command.opening, command.opening_m)
         return command
 
     def stop(self, reason: str) -> None:
         """See Driver."""
-        self._trouble = self._trouble or reason
-        self._ended.set()
-        if self._streamer is not None and self._streamer is not threading.current_thread():
-            self._streamer.join(timeout=1.0)
+        self._streamer.end(reason)
         if self._control is not None:
             self._control.servoStop(DECELERATION)
             self._control.stopScript()
             self._control = None
 
-    def _stream(self) -> None:
-        """Feed the controller at its own rate until the arm is stopped."""
-        still, control = True, self._control
-        while not self._ended.is_set():
-            period = control.initPeriod()
-            with self._lock:
-                command, sent = self._command, self._sent
-            age = self.clock.now() - sent
-            if command is None or command.hold or age > WATCHDOG:
-                if not still:
-                    control.servoStop(DECELERATION)
-                    still = True
-            else:
-                row = command.waypoints[min(int(age * RATE), len(command.waypoints) - 1)]
-                if not self._servo(control, command, row):
-                    self._trouble = "the controller refused a command"
-                    return
-                still = False
-            control.kickWatchdog()
-            control.waitPeriod(period)
+    def _servo(self, control: Any, command: Command, age: float) -> None:
+        """The waypoint that is due.
 
-    def _servo(self, control: Any, command: Command, row: np.ndarray) -> bool:
+        Raises:
+            ToolkitError: the controller does not take it.
+        """
+        row = command.waypoints[min(int(age * RATE), len(command.waypoints) - 1)]
         target = row.tolist() if command.form == "joint" else self.pose(row)
         servo = control.servoJ if command.form == "joint" else control.servoL
-        return bool(servo(target, 0.0, 0.0, 1.0 / RATE, LOOKAHEAD, GAIN))  # speed and acceleration are not used by UR
+        if not servo(target, 0.0, 0.0, 1.0 / RATE, LOOKAHEAD, GAIN):  # speed and acceleration are not used by UR
+            raise ToolkitError("the controller refused a command")
 
     def pose(self, row: np.ndarray) -> list[float]:
         """A pose (7,) in the bundle's base frame as UR's: x y z [m], rotation vector [rad], in the controller's base."""
         position, rotation = self.base_turn.T @ row[:3], self.base_turn.T @ matrix_of(row[3:])
         return [*position.tolist(), *vector_of(rotation).tolist()]
+
+
+def _cycles(control: Any) -> Iterator[None]:
+    """The controller's own periods."""
+    while True:
+        period = control.initPeriod()
+        yield
+        control.kickWatchdog()
+        control.waitPeriod(period)
 
 
 def _package() -> tuple[ModuleType, ModuleType]:

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
+from toy_commands import ANGLES, JOINTS, joint_command, scene
 
 from toolkit.bundle.reading import load_bundle
 from toolkit.deploy.arm import Command
@@ -15,18 +16,36 @@ from toolkit.deploy.drivers import ros2
 from toolkit.deploy.kinematics import load_mjcf
 from toolkit.errors import ToolkitError
 
-JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
-ANGLES = np.array([0.1, -0.2, 0.3, -1.4, 0.5, 1.6, -0.7])
-
-
-def scene():
-    return np.array([-0.1, 0.0, 0.82]), np.array([1.0, 0, 0, 0]), np.array([-0.1, 0.1, 1.02]), time.monotonic()
-
 
 @pytest.fixture
 def ros(ros):
     ros.angles = ANGLES
     return ros
+
+
+def test_ros2_looks_joints_up_by_name_and_gives_seconds():
+    published, names = [], [f"lbr_A{i}" for i in range(1, 8)]
+    message = lambda: SimpleNamespace(velocities=[])  # noqa: E731
+    driver = ros2.Ros2(SimpleNamespace(publish=published.append), message, message, lambda sec, nanosec: sec + 1e-9 * nanosec, "iiwa",
+                       JOINTS, names, scene, lambda *to: None, lambda: 1.0)
+    with pytest.raises(ToolkitError, match="nothing came on /joint_states"):
+        driver.read()
+    shuffled = names[::-1]
+    stamp = SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=5))
+    driver.heard(SimpleNamespace(header=stamp, name=shuffled, position=ANGLES[::-1].tolist(), velocity=[], effort=list(range(7))))
+    state = driver.read()
+    assert state.joints.tolist() == ANGLES.tolist() and state.speeds is None and state.efforts.tolist() == list(range(6, -1, -1))
+    command = joint_command(count=5)
+    driver.send(command)
+    trajectory = published[0]
+    assert trajectory.joint_names == names
+    assert [p.time_from_start for p in trajectory.points] == pytest.approx([0.01, 0.02, 0.03, 0.04, 0.05])
+    assert trajectory.points[-1].positions == ANGLES.tolist() and trajectory.points[-1].velocities == command.rate.tolist()
+    driver.stop("done")
+    assert published[-1].points == [] and driver.read().fault == "done"
+    driver.heard(SimpleNamespace(header=stamp, name=names[1:], position=[0.0] * 6, velocity=[], effort=[]))
+    with pytest.raises(ToolkitError, match="no joint 'lbr_A1'"):
+        driver.read()
 
 
 def test_the_node_reads_by_name_and_sends_to_the_controllers_topic(ros, wait_for):
