@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from toolkit.benchmarks.hostile import HARMS, hostile_ticks
+from toolkit.benchmarks.hostile import FAULTS, hostile_ticks
 from toolkit.bundle.reading import load_bundle
 from toolkit.cli import main
 from toolkit.deploy.motion import Track, _Base
@@ -22,7 +22,7 @@ def test_no_hostile_tick_leaves_the_limits_and_every_lie_holds(bundle, form):
     told = []
     found = hostile_ticks(bundle, form, 1500, 7, told.append)
     assert not found.breaches and found.first == "", found
-    assert found.ticks == 1500 and told == [1000] and found.episodes > 10 and found.lies > len(HARMS)
+    assert found.ticks == 1500 and told == [1000] and found.episodes > 10 and found.lies > len(FAULTS)
     wanted = {"not_finite", "stale_state", "observation_jump", "joint_speed", "effort", "arm", "object_lost", "state_shape"}
     assert wanted <= set(found.faults), f"never seen: {wanted - set(found.faults)}"
 

@@ -13,7 +13,7 @@ from toolkit.bundle.reading import load_bundle
 from toolkit.cli import main
 from toolkit.deploy import faults
 from toolkit.deploy.arm import ArmInfo, State
-from toolkit.deploy.faults import HARMS, Harm, _seen, onsets, trial, trials
+from toolkit.deploy.faults import FAULTS, InjectedFault, _seen, onsets, trial, trials
 from toolkit.deploy.liveness import ArmLiveness, ObjectLiveness
 from toolkit.deploy.runtime import Outcome
 from toolkit.export.twin import Twin
@@ -55,24 +55,24 @@ def arm(task):
 @pytest.mark.parametrize("form", [*(pytest.param(form, marks=pytest.mark.slow) for form in ("osc", "pose")), "joint"])
 def test_no_fault_is_unmet(bundle, arm, form):
     some = ("none", "order", "stamp", "process")
-    harms = HARMS if form == "osc" else tuple(h for h in HARMS if h.layer in some or "frozen" in h.name)
-    found = list(trials(bundle, arm, arm.connect(), form, harms))
-    assert len(found) == len(harms) > 10 and not [t for t in found if not t.met]
+    faults = FAULTS if form == "osc" else tuple(h for h in FAULTS if h.layer in some or "frozen" in h.name)
+    found = list(trials(bundle, arm, arm.connect(), form, faults))
+    assert len(found) == len(faults) > 10 and not [t for t in found if not t.met]
     nothing = found[0]
     assert (nothing.fault, nothing.outcome, nothing.seen) == ("nothing", "success", "")
     assert all(t.seen for t in found if t.must in ("stop", "pass", "refuse"))
 
 
-def harm_named(name):
-    return next(harm for harm in HARMS if harm.name == name)
+def fault_named(name):
+    return next(fault for fault in FAULTS if fault.name == name)
 
 
 def test_the_injector_sees_a_runtime_that_believes_everything(bundle, arm, monkeypatch):
     """As it was before: under osc an arm whose state is frozen runs on to the horizon."""
     monkeypatch.setattr(ArmLiveness, "check", lambda self, joints, place: ("", ""))
     monkeypatch.setattr(ObjectLiveness, "check", lambda self, pose, grasp, closed: ("", ""))
-    harm = harm_named("whole state frozen, fresh stamp")
-    found = trial(bundle, arm, arm.connect(), "osc", harm, onsets(bundle)["moving"], EVALUATION_SEEDS)
+    fault = fault_named("whole state frozen, fresh stamp")
+    found = trial(bundle, arm, arm.connect(), "osc", fault, onsets(bundle)["moving"], EVALUATION_SEEDS)
     assert not found.met and found.ticks is None and found.to_hold_mm > 100
 
 
@@ -89,8 +89,8 @@ def test_a_busy_machine_changes_no_trial(bundle, arm, name, form, seen):
             time.sleep(0.12 if arm.twin.time < 0.4 else 0.0)
             return super().read()
 
-    harm = harm_named(name)
-    found = [trial(bundle, one, one.connect(), form, harm, onsets(bundle)[harm.when], EVALUATION_SEEDS) for one in (arm, Busy(arm.twin))]
+    fault = fault_named(name)
+    found = [trial(bundle, one, one.connect(), form, fault, onsets(bundle)[fault.when], EVALUATION_SEEDS) for one in (arm, Busy(arm.twin))]
     assert found[0] == found[1] and found[0].seen == seen and found[0].met
 
 
@@ -99,10 +99,10 @@ def test_a_delay_is_borne_as_far_as_the_label_says(bundle, arm):
     said that it would not."""
     assert bundle.manifest.borne_delay_steps == 1
     for name in ("states one tick late", "orders one tick late"):
-        assert trial(bundle, arm, arm.connect(), "osc", harm_named(name), 0, EVALUATION_SEEDS).outcome == "success"
+        assert trial(bundle, arm, arm.connect(), "osc", fault_named(name), 0, EVALUATION_SEEDS).outcome == "success"
     boast = dataclasses.replace(bundle, manifest=dataclasses.replace(bundle.manifest, borne_delay_steps=2))
     for said, met in ((bundle, True), (boast, False)):
-        found = trial(said, arm, arm.connect(), "osc", harm_named("orders two ticks late"), 0, EVALUATION_SEEDS)
+        found = trial(said, arm, arm.connect(), "osc", fault_named("orders two ticks late"), 0, EVALUATION_SEEDS)
         assert found.outcome.startswith("stopped: table_clearance") and found.met is met
 
 
@@ -110,9 +110,9 @@ def test_who_drops_the_object_is_stopped_and_who_only_sees_it_fall_is_not(bundle
     """With noise of 5 mm the Jaco's policy lifts the brick and drops it: that the arm is then stopped is no fault of the filter.
     A camera that sees a brick 7 cm away from the gripper that holds it is."""
     jaco, twin = load_bundle("jaco"), Direct(Twin(ROBOTS["jaco"], task, "lockstep"))
-    found = trial(jaco, twin, twin.connect(), "osc", harm_named("pose noise of 5 mm"), 0, EVALUATION_SEEDS)
+    found = trial(jaco, twin, twin.connect(), "osc", fault_named("pose noise of 5 mm"), 0, EVALUATION_SEEDS)
     assert found.met and found.outcome.startswith("stopped: object_lost"), found
-    shifted = Harm("camera shifted", "state", "play", state=_seen(bias=0.07))
+    shifted = InjectedFault("camera shifted", "state", "play", state=_seen(bias=0.07))
     found = trial(bundle, arm, arm.connect(), "osc", shifted, onsets(bundle)["lifting"] + 5, EVALUATION_SEEDS)
     assert not found.met and found.outcome.startswith("stopped: object_lost"), found
 
@@ -124,7 +124,7 @@ def test_who_drops_the_object_is_stopped_and_who_only_sees_it_fall_is_not(bundle
 ])
 def test_a_fault_has_passed_where_the_policy_plays_on(bundle, held, apart, stopped, met):
     """What it then does is its own: an object that it drops is no fault of the filter, one that only seems to be is."""
-    injector = SimpleNamespace(harm=harm_named("policy asleep for 0.5 s"), onset=2, held=[bool(h) for h in held],
+    injector = SimpleNamespace(fault=fault_named("policy asleep for 0.5 s"), onset=2, held=[bool(h) for h in held],
                                truths=[np.zeros(3)] * 7, apart=[0.01] * 6 + [apart])
     assert faults._judged(injector, Outcome(stopped=stopped), "joint", bundle.manifest).met is met
 
@@ -134,13 +134,13 @@ def test_a_jaco_whose_fingers_jam_on_the_table_does_not_spin(task):
     """Held once on its way down, it comes to the table where its wrist's motor cannot push as much as it should; its other joints then
     turned about the grasp at 0.9 rad/s, and it was stopped for that."""
     jaco, twin = load_bundle("jaco"), Direct(Twin(ROBOTS["jaco"], task, "lockstep"))
-    found = trial(jaco, twin, twin.connect(), "pose", harm_named("one state 0.3 s old"), onsets(jaco)["moving"], EVALUATION_SEEDS)
+    found = trial(jaco, twin, twin.connect(), "pose", fault_named("one state 0.3 s old"), onsets(jaco)["moving"], EVALUATION_SEEDS)
     assert found.met and found.seen == "stale_state" and found.outcome == "success", found
 
 
 def test_a_frozen_arm_is_held_where_a_tick_of_motion_ends(bundle, arm):
     for form in ("osc", "pose", "joint"):
-        found = trial(bundle, arm, arm.connect(), form, harm_named("whole state frozen, fresh stamp"), 6, EVALUATION_SEEDS)
+        found = trial(bundle, arm, arm.connect(), form, fault_named("whole state frozen, fresh stamp"), 6, EVALUATION_SEEDS)
         assert found.ticks <= 1 and found.to_hold_mm < 30 and found.to_rest_mm < 60, found
 
 

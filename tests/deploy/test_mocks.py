@@ -12,7 +12,7 @@ from toolkit.bundle.reading import load_bundle
 from toolkit.cli import main
 from toolkit.deploy.arm import Command
 from toolkit.deploy.drivers.stamps import DeviceClock
-from toolkit.deploy.faults import COMPLAINT, VENDOR_HARMS, harms_for, trials
+from toolkit.deploy.faults import COMPLAINT, VENDOR_FAULTS, faults_for, trials
 from toolkit.deploy.kinematics import Kinematics
 from toolkit.deploy.mocks import VENDORS, SimulatedClock, mocked
 from toolkit.errors import ToolkitError
@@ -35,9 +35,9 @@ def unmet(found):
 @pytest.mark.parametrize("name", VENDORS)
 def test_every_fault_is_met_through_the_vendors_driver(bundle, name):
     with mocked(bundle, name) as driver:
-        harms = [harm for harm in harms_for(driver.vendor) if harm.name in PLAYED or harm.layer in ("stamp", "vendor")]
-        found = list(trials(bundle, driver, driver.connect(), "joint", tuple(harms)))
-    assert len(found) == len(harms) >= 9 and not unmet(found), unmet(found)
+        faults = [fault for fault in faults_for(driver.vendor) if fault.name in PLAYED or fault.layer in ("stamp", "vendor")]
+        found = list(trials(bundle, driver, driver.connect(), "joint", tuple(faults)))
+    assert len(found) == len(faults) >= 9 and not unmet(found), unmet(found)
     assert (found[0].fault, found[0].outcome, found[0].seen) == ("nothing", "success", ""), found[0]
     assert all(trial.seen for trial in found if trial.must in ("stop", "pass") and trial.layer != "vendor")
 
@@ -47,20 +47,20 @@ def test_poses_arrive_in_the_vendors_own_frame_and_order(bundle, name):
     """A whole episode as poses: a base turned the wrong way, or a quaternion's scalar at the wrong end, would never end in success."""
     with mocked(bundle, name) as driver:
         info = driver.connect()
-        found = list(trials(bundle, driver, info, "pose", tuple(harm for harm in harms_for(driver.vendor) if harm.name == "nothing")))
+        found = list(trials(bundle, driver, info, "pose", tuple(fault for fault in faults_for(driver.vendor) if fault.name == "nothing")))
     assert [trial.outcome for trial in found] == ["success"]
 
 
-@pytest.mark.parametrize("name, harm", [("ur", "policy asleep for 0.5 s"), ("kortex", "policy asleep for 0.5 s"),
+@pytest.mark.parametrize("name, fault", [("ur", "policy asleep for 0.5 s"), ("kortex", "policy asleep for 0.5 s"),
                                         ("franka", "one state 0.3 s old"), ("ros2", "one state 0.3 s old")])
-def test_a_busy_machine_changes_no_trial(bundle, name, harm, monkeypatch):
+def test_a_busy_machine_changes_no_trial(bundle, name, fault, monkeypatch):
     """Cameras that take 30 ms of this machine's time to read: by its clock the ticks would be late, and the threads out of step."""
     found = []
     for spent in (0.0, 0.03):
         with mocked(bundle, name) as driver:
             seen = driver.arm.seen
             monkeypatch.setattr(driver.arm, "seen", lambda seen=seen, spent=spent: (time.sleep(spent), seen())[1])
-            chosen = tuple(each for each in harms_for(driver.vendor) if each.name == harm)
+            chosen = tuple(each for each in faults_for(driver.vendor) if each.name == fault)
             found += trials(bundle, driver, driver.connect(), "joint", chosen)
     assert found[0] == found[1] and found[0].met and found[0].seen in ("late_ticks", "stale_state"), found
 
@@ -94,8 +94,8 @@ def test_a_simulated_clock_wakes_sleepers_in_order_and_waits_for_who_is_awake():
 def test_a_driver_that_stamps_when_it_is_asked_is_caught(bundle, monkeypatch):
     monkeypatch.setattr(DeviceClock, "__call__", lambda self, seconds: self._now())
     with mocked(bundle, "ur") as driver:
-        harms = tuple(harm for harm in harms_for(driver.vendor) if harm.name == "stamp a second old")
-        found = list(trials(bundle, driver, driver.connect(), "joint", harms))
+        faults = tuple(fault for fault in faults_for(driver.vendor) if fault.name == "stamp a second old")
+        found = list(trials(bundle, driver, driver.connect(), "joint", faults))
     assert unmet(found) == found and not found[0].seen
 
 
@@ -166,9 +166,9 @@ def test_an_arm_whose_angles_a_vendor_cannot_tell_is_refused():
 
 
 def test_a_clockless_vendor_has_no_wrong_clock():
-    layers = {name: {harm.layer for harm in harms_for(vendor)} for name, vendor in VENDORS.items()}
+    layers = {name: {fault.layer for fault in faults_for(vendor)} for name, vendor in VENDORS.items()}
     assert "stamp" not in layers["kortex"] and all("stamp" in layers[name] for name in ("ur", "franka", "ros2"))
-    assert COMPLAINT not in {harm.name for harm in harms_for(VENDORS["ros2"])} and set(VENDOR_HARMS) <= set(harms_for(VENDORS["ur"]))
+    assert COMPLAINT not in {fault.name for fault in faults_for(VENDORS["ros2"])} and set(VENDOR_FAULTS) <= set(faults_for(VENDORS["ur"]))
 
 
 def test_the_command_plays_a_vendors_faults(capsys):

@@ -187,7 +187,7 @@ def test_a_late_state_passes_and_a_jump_does_not(bundle):
     assert runtime.tick(changed(good, stamp=0.40, object_position=good.object_position + 0.3), 0.40).fault.kind == "observation_jump"
     for tick in range(1, bundle.manifest.watch.hold_ticks + 1):
         after = runtime.tick(changed(good, stamp=0.40 + 0.05 * tick), 0.40 + 0.05 * tick)
-        assert after.command.hold and after.stop == (tick == bundle.manifest.watch.hold_ticks)
+        assert after.command.hold and (after.stop is not None) == (tick == bundle.manifest.watch.hold_ticks)
 
 
 @pytest.mark.parametrize("gap, ticks, holds", [

@@ -20,7 +20,7 @@ from toolkit.deploy.motion import Expected
 from toolkit.deploy.runtime import Runtime, Tick
 from toolkit.deploy.safety import OVERSHOOT, PASSING
 
-HARMS = ("nan joint", "inf joint", "nan object", "stale", "future", "jump", "teleport", "fast", "effort", "fault", "lost", "short", "late")
+FAULTS = ("nan joint", "inf joint", "nan object", "stale", "future", "jump", "teleport", "fast", "effort", "fault", "lost", "short", "late")
 """What the world lies about."""
 HARMED, TEMPER, NOT_FINITE = 0.03, 0.05, 0.005
 """Shares of ticks with a lie, with a policy that changes its temper, and with an action that is not finite."""
@@ -200,11 +200,11 @@ class SimulatedArm:
         jacobian = jacobian[:, self._dofs]
         return jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-3 * np.eye(6), motion)
 
-    def read(self, now: float, harm: str) -> State:
-        """What is reported at a time [s]: the truth, or a lie of HARMS."""
+    def read(self, now: float, injected: str) -> State:
+        """What is reported at a time [s]: the truth, or a lie of FAULTS."""
         state, rng, n = dataclasses.replace(self.state, stamp=now - AGE), self._rng, len(self.state.joints)
         spoilt, which = state.joints.copy(), rng.integers(n)
-        spoilt[which] = {"nan joint": np.nan, "inf joint": np.inf}.get(harm, spoilt[which] + 2.0)
+        spoilt[which] = {"nan joint": np.nan, "inf joint": np.inf}.get(injected, spoilt[which] + 2.0)
         shift = state.object_position + rng.choice([-1, 1], 3) * 0.5
         changes: dict[str, dict[str, Any]] = {
             "nan joint": {"joints": spoilt}, "inf joint": {"joints": spoilt}, "teleport": {"joints": spoilt},
@@ -213,7 +213,7 @@ class SimulatedArm:
             "effort": {"efforts": np.full(n, 1e4)}, "fault": {"fault": "protective stop"}, "lost": {"outcome": "lost"},
             "short": {"joints": state.joints[:-1]},
         }
-        return dataclasses.replace(state, **changes.get(harm, {}))
+        return dataclasses.replace(state, **changes.get(injected, {}))
 
 
 def wild_policy(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
@@ -290,22 +290,22 @@ def hostile_ticks(
                 return tally
             alive, latched, held = True, False, 0
             tally.episodes += 1
-        harm = ""
+        injected = ""
         if rng.random() < HARMED:
-            deck = deck or list(rng.permutation(HARMS))
-            harm = str(rng.choice(HARMS)) if latched else str(deck.pop())  # every lie comes to an arm that still moves
+            deck = deck or list(rng.permutation(FAULTS))
+            injected = str(rng.choice(FAULTS)) if latched else str(deck.pop())  # every lie comes to an arm that still moves
             tally.lies += 1
-        tick = runtime.tick(arm.read(now, harm), now, late=harm == "late")
-        for what in (*checker.breaches(tick.command, arm.state.joints), *_wrong(tick, harm, latched)):
+        tick = runtime.tick(arm.read(now, injected), now, late=injected == "late")
+        for what in (*checker.breaches(tick.command, arm.state.joints), *_wrong(tick, injected, latched)):
             tally.breach(what)
         if tick.fault is not None:
             tally.faults[tick.fault.kind] += 1
             latched, held = latched or tick.fault.kind not in PASSING, held + 1
         else:
             held = 0
-        if tick.stop != (held > m.watch.hold_ticks):
-            tally.breach(f"after {held} held ticks the arm is {'stopped' if tick.stop else 'not stopped'}")
-        alive = not tick.stop
+        if (tick.stop is not None) != (held > m.watch.hold_ticks):
+            tally.breach(f"after {held} held ticks the arm is {'not stopped' if tick.stop is None else 'stopped'}")
+        alive = tick.stop is None
         arm.obey(tick.command)
         tally.ticks += 1
         if tally.ticks % 1000 == 0:
@@ -313,9 +313,9 @@ def hostile_ticks(
     return tally
 
 
-def _wrong(tick: Tick, harm: str, latched: bool) -> Iterator[str]:
-    if harm not in ("", "late") and tick.fault is None:
-        yield f"{harm} went unnoticed"
+def _wrong(tick: Tick, injected: str, latched: bool) -> Iterator[str]:
+    if injected not in ("", "late") and tick.fault is None:
+        yield f"{injected} went unnoticed"
     if tick.fault is None and not np.isfinite(tick.action).all():
         yield "a command without an action"
     if tick.command.hold != (tick.fault is not None):

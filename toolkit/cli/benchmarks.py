@@ -548,17 +548,17 @@ def bench_faults(
     from toolkit.cli.deployment import start_twin
     from toolkit.deploy.arm import FORMS
     from toolkit.deploy.drivers.sim import SimDriver
-    from toolkit.deploy.faults import harms_for, line_trials, trials
+    from toolkit.deploy.faults import faults_for, line_trials, trials
     from toolkit.deploy.mocks import VENDORS, mocked
 
     loaded, found = load_bundle(bundle), []
     takes = FORMS if driver == "sim" else VENDORS[driver].forms
     if form not in ("all", *takes):
         raise ToolkitError(f"the driver {driver} takes no {form!r} commands; it takes: {', '.join(takes)}")
-    harms = tuple(harm for harm in harms_for(None if driver == "sim" else VENDORS[driver]) if only in harm.name or only == harm.layer)
+    faults = tuple(fault for fault in faults_for(None if driver == "sim" else VENDORS[driver]) if only in fault.name or only == fault.layer)
     forms = takes if form == "all" else (form,)
     others = driver == "sim" and (not only or only in ("process", "line", "disk"))
-    if not harms and not others:
+    if not faults and not others:
         raise ToolkitError(f"no fault of driver {driver} is named {only!r}; give a part of its name, or state, stamp, start, order, "
                            "vendor, process, line or disk")
     with Progress("faults", quiet=json) as progress:
@@ -570,13 +570,13 @@ def bench_faults(
 
         def play(arm: "Begun", info: "ArmInfo") -> None:
             for each in forms:
-                for trial in trials(loaded, arm, info, each, harms):
+                for trial in trials(loaded, arm, info, each, faults):
                     met(trial)
 
         if driver != "sim":
             with mocked(loaded, driver) as arm:
                 play(arm, arm.connect())
-        elif harms:
+        elif faults:
             twin, port = start_twin(bundle, "lockstep")  # whose own time no busy machine delays
             simulated = SimDriver("127.0.0.1", port)
             try:

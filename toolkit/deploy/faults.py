@@ -52,7 +52,7 @@ class Begun(Driver, Clock, Protocol):
 
 
 @dataclass(frozen=True)
-class Harm:
+class InjectedFault:
     """One fault.
 
     Attributes:
@@ -165,56 +165,58 @@ def _gripper(fingers: Callable[[np.ndarray], np.ndarray], opening: float) -> Cal
 COMPLAINT = "arm reports a protective stop"
 _W_LAST = _change(object_quaternion=lambda s: np.roll(s.object_quaternion, -1))
 _STATE = (
-    Harm("nothing", "none", "play", "start"),
-    Harm("whole state frozen, fresh stamp", "state", "stop", state=_frozen),
-    Harm("whole state frozen from the start", "state", "stop", "start", state=_frozen),
-    Harm("whole state frozen while lifting", "state", "stop", "lifting", state=_frozen),
-    Harm("frozen but for encoder noise", "state", "stop", state=_frozen_noisy),
-    Harm("joints frozen, camera alive", "state", "stop", state=lambda s, r: _first(s, "joints", "speeds")),
-    Harm("nothing new comes, nor a stamp", "state", "stop", state=lambda s, r: s[0], allowed=1),
-    Harm("state twice, then alive", "state", "pass", state=_frozen, lasting=2),
-    Harm("camera without noise frozen from the start", "state", "stop", "start", state=_blind, prompt=False),
-    Harm("camera without noise frozen while lifting", "state", "stop", "lifting", state=_blind, prompt=False),
-    Harm("camera with noise frozen", "state", "stop", state=_blind, before=_seen(0.001)),
-    Harm("joint not a number", "state", "stop", state=_change(joints=_spoilt(2, np.nan))),
-    Harm("joint infinite", "state", "stop", state=_change(joints=_spoilt(0, np.inf))),
-    Harm("joint jumps by 0.5 rad", "state", "stop", state=_change(joints=_shifted(1, 0.5))),
-    Harm("joints in degrees", "state", "stop", state=_change(joints=lambda s: np.degrees(s.joints))),
-    Harm("a joint missing", "state", "stop", state=_change(joints=lambda s: s.joints[:-1])),
-    Harm("joint speed of 50 rad/s", "state", "stop", state=_change(speeds=lambda s: np.full(len(s.joints), 50.0))),
-    Harm("effort of 10 kN m", "state", "stop", state=_change(efforts=lambda s: np.full(len(s.joints), 1e4))),
-    Harm("object jumps by 30 cm", "state", "stop", state=_change(object_position=lambda s: s.object_position + [0.3, 0, 0])),
-    Harm("object not a number", "state", "stop", state=_change(object_position=lambda s: np.full(3, np.nan))),
-    Harm("object's quaternion zero", "state", "stop", state=_change(object_quaternion=lambda s: np.zeros(4))),
-    Harm("object's quaternion doubled", "state", "stop", state=_change(object_quaternion=lambda s: 2 * s.object_quaternion)),
-    Harm("object's quaternion w last", "state", "stop", state=_W_LAST),
-    Harm("gripper not numbers", "state", "stop", state=_gripper(lambda fingers: fingers * np.nan, np.nan)),
-    Harm("opening in per cent", "state", "stop", state=_change(fingers=lambda s: None, opening=lambda s: 80.0)),
-    Harm(COMPLAINT, "state", "stop", state=_change(fault=lambda s: "protective stop")),
-    Harm("object below the table", "state", "stop", state=_change(object_position=lambda s: np.array([*s.object_position[:2], 0.5]))),
-    Harm("pose noise of 2 mm", "state", "play", "start", state=_seen(0.002)),
-    Harm("pose noise of 5 mm", "state", "play", "start", state=_seen(0.005)),
-    Harm("pose noise of 10 mm", "state", "play", "start", state=_seen(0.010)),
-    Harm("states one tick late", "state", "play", "start", state=_delayed(1), late=1),
-    Harm("states two ticks late", "state", "play", "start", state=_delayed(2), late=2),
+    InjectedFault("nothing", "none", "play", "start"),
+    InjectedFault("whole state frozen, fresh stamp", "state", "stop", state=_frozen),
+    InjectedFault("whole state frozen from the start", "state", "stop", "start", state=_frozen),
+    InjectedFault("whole state frozen while lifting", "state", "stop", "lifting", state=_frozen),
+    InjectedFault("frozen but for encoder noise", "state", "stop", state=_frozen_noisy),
+    InjectedFault("joints frozen, camera alive", "state", "stop", state=lambda s, r: _first(s, "joints", "speeds")),
+    InjectedFault("nothing new comes, nor a stamp", "state", "stop", state=lambda s, r: s[0], allowed=1),
+    InjectedFault("state twice, then alive", "state", "pass", state=_frozen, lasting=2),
+    InjectedFault("camera without noise frozen from the start", "state", "stop", "start", state=_blind, prompt=False),
+    InjectedFault("camera without noise frozen while lifting", "state", "stop", "lifting", state=_blind, prompt=False),
+    InjectedFault("camera with noise frozen", "state", "stop", state=_blind, before=_seen(0.001)),
+    InjectedFault("joint not a number", "state", "stop", state=_change(joints=_spoilt(2, np.nan))),
+    InjectedFault("joint infinite", "state", "stop", state=_change(joints=_spoilt(0, np.inf))),
+    InjectedFault("joint jumps by 0.5 rad", "state", "stop", state=_change(joints=_shifted(1, 0.5))),
+    InjectedFault("joints in degrees", "state", "stop", state=_change(joints=lambda s: np.degrees(s.joints))),
+    InjectedFault("a joint missing", "state", "stop", state=_change(joints=lambda s: s.joints[:-1])),
+    InjectedFault("joint speed of 50 rad/s", "state", "stop", state=_change(speeds=lambda s: np.full(len(s.joints), 50.0))),
+    InjectedFault("effort of 10 kN m", "state", "stop", state=_change(efforts=lambda s: np.full(len(s.joints), 1e4))),
+    InjectedFault("object jumps by 30 cm", "state", "stop", state=_change(object_position=lambda s: s.object_position + [0.3, 0, 0])),
+    InjectedFault("object not a number", "state", "stop", state=_change(object_position=lambda s: np.full(3, np.nan))),
+    InjectedFault("object's quaternion zero", "state", "stop", state=_change(object_quaternion=lambda s: np.zeros(4))),
+    InjectedFault("object's quaternion doubled", "state", "stop", state=_change(object_quaternion=lambda s: 2 * s.object_quaternion)),
+    InjectedFault("object's quaternion w last", "state", "stop", state=_W_LAST),
+    InjectedFault("gripper not numbers", "state", "stop", state=_gripper(lambda fingers: fingers * np.nan, np.nan)),
+    InjectedFault("opening in per cent", "state", "stop", state=_change(fingers=lambda s: None, opening=lambda s: 80.0)),
+    InjectedFault(COMPLAINT, "state", "stop", state=_change(fault=lambda s: "protective stop")),
+    InjectedFault("object below the table", "state", "stop",
+                  state=_change(object_position=lambda s: np.array([*s.object_position[:2], 0.5]))),
+    InjectedFault("pose noise of 2 mm", "state", "play", "start", state=_seen(0.002)),
+    InjectedFault("pose noise of 5 mm", "state", "play", "start", state=_seen(0.005)),
+    InjectedFault("pose noise of 10 mm", "state", "play", "start", state=_seen(0.010)),
+    InjectedFault("states one tick late", "state", "play", "start", state=_delayed(1), late=1),
+    InjectedFault("states two ticks late", "state", "play", "start", state=_delayed(2), late=2),
 )
 _STAMP = (
-    Harm("stamp a second old", "stamp", "stop", state=_change(stamp=lambda s: s.stamp - 1.0)),
-    Harm("stamp a second ahead", "stamp", "stop", state=_change(stamp=lambda s: s.stamp + 1.0)),
-    Harm("stamp stands still", "stamp", "stop", state=lambda s, r: _first(s, "stamp"), allowed=1),
-    Harm("one state 0.3 s old", "stamp", "pass", state=_change(stamp=lambda s: s.stamp - 0.3), lasting=1),
+    InjectedFault("stamp a second old", "stamp", "stop", state=_change(stamp=lambda s: s.stamp - 1.0)),
+    InjectedFault("stamp a second ahead", "stamp", "stop", state=_change(stamp=lambda s: s.stamp + 1.0)),
+    InjectedFault("stamp stands still", "stamp", "stop", state=lambda s, r: _first(s, "stamp"), allowed=1),
+    InjectedFault("one state 0.3 s old", "stamp", "pass", state=_change(stamp=lambda s: s.stamp - 0.3), lasting=1),
 )
 _START = (
-    Harm("object 5 cm off", "start", "refuse", "start", state=_change(object_position=lambda s: s.object_position + [0.05, 0, 0])),
-    Harm("object 15 cm off", "start", "refuse", "start", state=_change(object_position=lambda s: s.object_position + [0, 0.15, 0])),
-    Harm("object in millimetres", "start", "refuse", "start", state=_change(object_position=lambda s: 1e3 * s.object_position)),
-    Harm("object's quaternion w last", "start", "refuse", "start", state=_W_LAST),
-    Harm("goal 50 cm away", "start", "refuse", "start", state=_change(goal=lambda s: s.goal + [0, 0.5, 0])),
-    Harm("gripper half closed", "start", "refuse", "start", state=_gripper(lambda fingers: fingers + 0.4, 0.5)),
-    Harm("opening in metres", "start", "refuse", "start", state=_change(fingers=lambda s: None, opening=lambda s: 0.08)),
-    Harm("arm already moving", "start", "refuse", "start", state=_change(speeds=lambda s: np.full(len(s.joints), 0.2))),
-    Harm("a joint 0.1 rad off", "start", "refuse", "start", state=_change(joints=_shifted(3, 0.1))),
-    Harm("joints in degrees", "start", "refuse", "start", state=_change(joints=lambda s: np.degrees(s.joints))),
+    InjectedFault("object 5 cm off", "start", "refuse", "start", state=_change(object_position=lambda s: s.object_position + [0.05, 0, 0])),
+    InjectedFault("object 15 cm off", "start", "refuse", "start",
+                  state=_change(object_position=lambda s: s.object_position + [0, 0.15, 0])),
+    InjectedFault("object in millimetres", "start", "refuse", "start", state=_change(object_position=lambda s: 1e3 * s.object_position)),
+    InjectedFault("object's quaternion w last", "start", "refuse", "start", state=_W_LAST),
+    InjectedFault("goal 50 cm away", "start", "refuse", "start", state=_change(goal=lambda s: s.goal + [0, 0.5, 0])),
+    InjectedFault("gripper half closed", "start", "refuse", "start", state=_gripper(lambda fingers: fingers + 0.4, 0.5)),
+    InjectedFault("opening in metres", "start", "refuse", "start", state=_change(fingers=lambda s: None, opening=lambda s: 0.08)),
+    InjectedFault("arm already moving", "start", "refuse", "start", state=_change(speeds=lambda s: np.full(len(s.joints), 0.2))),
+    InjectedFault("a joint 0.1 rad off", "start", "refuse", "start", state=_change(joints=_shifted(3, 0.1))),
+    InjectedFault("joints in degrees", "start", "refuse", "start", state=_change(joints=lambda s: np.degrees(s.joints))),
 )
 
 
@@ -227,27 +229,27 @@ def _still(commands: list[Command]) -> Command:
 
 
 _ORDER = (
-    Harm("the arm does not obey", "order", "stop", command=_still),
-    Harm("orders one tick late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 2)], late=1),
-    Harm("orders two ticks late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 3)], late=2),
+    InjectedFault("the arm does not obey", "order", "stop", command=_still),
+    InjectedFault("orders one tick late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 2)], late=1),
+    InjectedFault("orders two ticks late", "order", "play", "start", command=lambda c: c[max(0, len(c) - 3)], late=2),
 )
 _PROCESS = (
-    Harm("policy asleep for 0.5 s", "process", "pass", sleep=0.5, lasting=1),
-    Harm("policy asleep for 1.5 s", "process", "stop", sleep=1.5, lasting=1),
+    InjectedFault("policy asleep for 0.5 s", "process", "pass", sleep=0.5, lasting=1),
+    InjectedFault("policy asleep for 1.5 s", "process", "stop", sleep=1.5, lasting=1),
 )
-HARMS = (*_STATE, *_STAMP, *_START, *_ORDER, *_PROCESS)
-VENDOR_HARMS = (
-    Harm("the arm refuses orders", "vendor", "stop", trouble="refuses"),
-    Harm("the connection is gone", "vendor", "stop", trouble="gone", allowed=1),
+FAULTS = (*_STATE, *_STAMP, *_START, *_ORDER, *_PROCESS)
+VENDOR_FAULTS = (
+    InjectedFault("the arm refuses orders", "vendor", "stop", trouble="refuses"),
+    InjectedFault("the connection is gone", "vendor", "stop", trouble="gone", allowed=1),
 )
 
 
-def harms_for(vendor: Vendor | None) -> tuple[Harm, ...]:
+def faults_for(vendor: Vendor | None) -> tuple[InjectedFault, ...]:
     """The faults that an arm behind a vendor's interface can have, or the twin (None): who gives no time cannot give a wrong one."""
     if vendor is None:
-        return HARMS
-    return tuple(harm for harm in (*HARMS, *VENDOR_HARMS) if (vendor.clock or harm.layer != "stamp")
-                 and (vendor.complains or harm.name != COMPLAINT))
+        return FAULTS
+    return tuple(fault for fault in (*FAULTS, *VENDOR_FAULTS) if (vendor.clock or fault.layer != "stamp")
+                 and (vendor.complains or fault.name != COMPLAINT))
 
 
 class Injector:
@@ -255,7 +257,7 @@ class Injector:
 
     Args:
         driver: connected; its own states are taken for the truth, or those of its mock arm, if it has one.
-        harm: what is wrong; None: nothing.
+        fault: what is wrong.
         onset: tick from which on.
         place: state -> (3,) [m] where the grasp frame truly is.
         seed: of noise.
@@ -265,8 +267,8 @@ class Injector:
         held: whether the command of each tick was to hold.
     """
 
-    def __init__(self, driver: Begun, harm: Harm | None, onset: int, place: Callable[[State], np.ndarray], seed: int = 0) -> None:
-        self.driver, self.harm, self.onset, self._place = driver, harm, onset, place
+    def __init__(self, driver: Begun, fault: InjectedFault, onset: int, place: Callable[[State], np.ndarray], seed: int = 0) -> None:
+        self.driver, self.fault, self.onset, self._place = driver, fault, onset, place
         self.truths: list[np.ndarray] = []
         self.apart: list[float] = []
         self.held: list[bool] = []
@@ -282,7 +284,7 @@ class Injector:
     @property
     def _wrong(self) -> bool:
         """Whether this is a tick with the fault; the first state read is that of the start check, before any tick."""
-        return self.harm is not None and self.onset <= len(self.held) < self.onset + self.harm.lasting
+        return self.onset <= len(self.held) < self.onset + self.fault.lasting
 
     def read(self) -> State:
         """See Driver."""
@@ -293,33 +295,33 @@ class Injector:
         told = self._told(truth)
         if mock is None:
             return told
-        mock.arm.trouble = self.harm.trouble if self._wrong else ""
+        mock.arm.trouble = self.fault.trouble if self._wrong else ""
         return mock.report(told)
 
     def _told(self, truth: State) -> State:
         """What is reported in place of the truth."""
         if not self._wrong:
-            early = len(self.held) < self.onset and self.harm is not None and self.harm.before is not None
-            told = self.harm.before([truth], self._rng) if early else truth
+            before = self.fault.before if len(self.held) < self.onset else None
+            told = before([truth], self._rng) if before is not None else truth
             self._states = [told]  # with which the fault begins: the last honest one
             return told
-        if self.harm.sleep and not self._slept:
+        if self.fault.sleep and not self._slept:
             self._slept = True
-            self.driver.sleep(self.harm.sleep)
-        if self.harm.state is None:
+            self.driver.sleep(self.fault.sleep)
+        if self.fault.state is None:
             return truth
         self._states.append(truth)
-        return dataclasses.replace(self.harm.state(self._states, self._rng), outcome=truth.outcome)
+        return dataclasses.replace(self.fault.state(self._states, self._rng), outcome=truth.outcome)
 
     def send(self, command: Command) -> Command:
         """See Driver."""
         wrong = self._wrong
         self.held.append(command.hold)
-        if self.harm is None or self.harm.command is None or not wrong:
+        if self.fault.command is None or not wrong:
             self._commands = [command]
             return self.driver.send(command)
         self._commands.append(command)
-        self.driver.send(self.harm.command(self._commands))
+        self.driver.send(self.fault.command(self._commands))
         return command
 
     def stop(self, reason: str) -> None:
@@ -340,12 +342,12 @@ def onsets(bundle: Bundle) -> dict[str, int]:
     return {"start": 0, "moving": max(2, int(np.argmax(speed[: max(3, lifted // 2)]))), "lifting": lifted}
 
 
-def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, onset: int, seed: int) -> Trial:
+def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, fault: InjectedFault, onset: int, seed: int) -> Trial:
     """Play one episode with one fault.
 
     Args:
         bundle, driver, info, form: as for a Runtime.
-        harm, onset: the fault, and the tick from which on.
+        fault, onset: the fault, and the tick from which on.
         seed: of the start.
 
     Raises:
@@ -358,13 +360,13 @@ def trial(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harm: Harm, 
         return kinematics.position
 
     driver.begin(seed)
-    injector = Injector(driver, harm, onset, place)
+    injector = Injector(driver, fault, onset, place)
     outcome = play(runtime, injector, TickLog(None, {}), clock=driver)
     return _judged(injector, outcome, form, bundle.manifest)
 
 
 def _judged(injector: Injector, outcome: Outcome, form: Form, manifest: Manifest) -> Trial:
-    harm, onset, held, way = injector.harm, injector.onset, injector.held, np.array(injector.truths)
+    fault, onset, held, way = injector.fault, injector.onset, injector.held, np.array(injector.truths)
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     seen = ", ".join(outcome.faults)
     first = next((i for i in range(onset, len(held)) if held[i]), len(held) - 1 if held and outcome.stopped else None)
@@ -374,9 +376,9 @@ def _judged(injector: Injector, outcome: Outcome, form: Form, manifest: Manifest
     to_rest = float(step[onset : last + 1].sum())
     speed = float(step[max(0, onset - 1) : onset + SHOWING].max(initial=0.0))
     soon = first is not None and (
-        not harm.prompt or first - onset <= TICKS and to_hold <= WAY + (SHOWING + harm.allowed) * speed
+        not fault.prompt or first - onset <= TICKS and to_hold <= WAY + (SHOWING + fault.allowed) * speed
     )
-    beyond = harm.late > (manifest.borne_delay_steps or 0) and outcome.stopped.startswith(AT_TABLE)
+    beyond = fault.late > (manifest.borne_delay_steps or 0) and outcome.stopped.startswith(AT_TABLE)
     stopping = len(held) - next((i for i, hold in enumerate(reversed(held)) if not hold), len(held))  # first tick of the last hold
     dropped = outcome.stopped.startswith("object_lost") and max(injector.apart[stopping + 1 :], default=0.0) > manifest.watch.held_m
     went_on = first is not None and not all(held[first:])
@@ -384,16 +386,16 @@ def _judged(injector: Injector, outcome: Outcome, form: Form, manifest: Manifest
         "stop": bool(outcome.stopped) and soon, "pass": soon and went_on and (not outcome.stopped or dropped),
         "play": not outcome.stopped or beyond or dropped,
         "refuse": not held and bool(outcome.stopped),
-    }[harm.must]
-    return Trial(harm.name, harm.layer, form, harm.must, seen, None if first is None else first - onset, 1e3 * to_hold, 1e3 * to_rest,
+    }[fault.must]
+    return Trial(fault.name, fault.layer, form, fault.must, seen, None if first is None else first - onset, 1e3 * to_hold, 1e3 * to_rest,
                  f"stopped: {outcome.stopped}" if outcome.stopped else "success" if outcome.success else "horizon", bool(met))
 
 
-def trials(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, harms: tuple[Harm, ...]) -> Iterator[Trial]:
+def trials(bundle: Bundle, driver: Begun, info: ArmInfo, form: Form, faults: tuple[InjectedFault, ...]) -> Iterator[Trial]:
     """Every fault in one form of command, one after another, from the evaluation's first start."""
     when = onsets(bundle)
-    for harm in harms:
-        yield trial(bundle, driver, info, form, harm, when[harm.when], EVALUATION_SEEDS)
+    for fault in faults:
+        yield trial(bundle, driver, info, form, fault, when[fault.when], EVALUATION_SEEDS)
 
 
 # ---- what befalls processes, connections and disks ---------------------------------------------------------------------
@@ -475,6 +477,11 @@ def _loses_its_arm(bundle: Bundle, port: int, name: str, happen: Callable[[], No
     return _said(name, "process", "stop", ", ".join(outcome.faults), f"stopped: {outcome.stopped}", outcome.stopped.startswith("driver"))
 
 
+def _fastest(state: State) -> float:
+    """[rad/s] of the fastest joint; infinite where the arm does not say, which stands still for nobody."""
+    return np.inf if state.speeds is None else float(np.abs(state.speeds).max())
+
+
 def _pushed(port: int) -> tuple[SimDriver, float]:
     """A driver whose arm moves upwards, and its fastest joint's speed [rad/s]."""
     arm, speed = SimDriver("127.0.0.1", port), 0.0
@@ -483,7 +490,7 @@ def _pushed(port: int) -> tuple[SimDriver, float]:
     for _ in range(PUSHES):
         arm.send(Command("osc", False, np.array([0, 0, 1.0, 0, 0, 0]), np.zeros(0), 0.0, 1.0, 0.1))
         arm.sleep(0.05)
-        speed = float(np.abs(arm.read().speeds).max())
+        speed = _fastest(arm.read())
         if speed > MOVING:
             break
     return arm, speed
@@ -500,7 +507,7 @@ def _left_alone(port: int, name: str, leaves: bool) -> Trial:
         arm.connect()
     state = arm.read()
     arm.leave()
-    speed = float(np.abs(state.speeds).max())
+    speed = _fastest(state)
     met = before > STILL > speed and (not leaves or bool(state.fault))
     return _said(name, "process", "stop", state.fault, f"{before:.2f} rad/s, {speed:.3f} after {SOON} s", met)
 

@@ -70,7 +70,7 @@ class ArmLiveness:
         moved = self._places[-1] - self._places[0]
         commanded, weight = list(self._expected), np.repeat([1.0, LEVER**2], 3)
         for lag in range(DELAY + 1):
-            wanted = sum(commanded[DELAY - lag : DELAY - lag + WINDOW])
+            wanted = sum(commanded[DELAY - lag : DELAY - lag + WINDOW], np.zeros(6))
             length = _length(wanted)
             if length < MOVING or float((weight * wanted) @ moved) > FOLLOWED * length**2:
                 return "", ""

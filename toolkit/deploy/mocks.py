@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from toolkit.bundle.reading import Bundle
 from toolkit.deploy.arm import ArmInfo, Clock, Command, Driver, Form, State
@@ -102,6 +103,27 @@ class SimulatedClock:
             self._free = False
 
 
+Way = Callable[[float], np.ndarray]
+"""When [s, on the arm's clock] -> where: angles (n,) [rad]."""
+
+
+class Report(NamedTuple):
+    """What a vendor's interface has of its arm; not a number, where the arm does not say.
+
+    Attributes:
+        stamp: [s] on our clock.  joints: (n,) [rad].  speeds: (n,) [rad/s].  efforts: (n,) [N m].
+        opening: 0 closed to 1 open.
+        fault: what the arm complains of; empty if nothing.
+    """
+
+    stamp: float
+    joints: np.ndarray
+    speeds: np.ndarray
+    efforts: np.ndarray
+    opening: float
+    fault: str
+
+
 class MockArm:
     """A kinematic arm with a gripper over a table with an object, at the start of an episode.
 
@@ -119,8 +141,10 @@ class MockArm:
 
     def __init__(self, bundle: Bundle, lag: float, clock: Clock) -> None:
         self.manifest, self.lag, self.clock = bundle.manifest, lag, clock
-        if self.manifest.simulation is None:
+        simulation = self.manifest.simulation
+        if simulation is None:
             raise ToolkitError("the bundle's manifest has no simulation.starts (format version 2); export it again")
+        self._starts = simulation.starts
         self._kinematics, self._solver = (Kinematics.of(bundle.manifest, bundle.mjcf) for _ in range(2))
         self._fingers = bundle.golden["episode_fingers"][0]  # poses are told for an open gripper
         self._speed = np.array([joint.speed for joint in self.manifest.joints])
@@ -132,7 +156,7 @@ class MockArm:
     def begin(self, seed: int) -> None:
         """Stand at the start, the object where a seed's draws put it, as ``manifest.simulation.starts`` tells; report the truth."""
         with self._lock:
-            manifest, starts = self.manifest, self.manifest.simulation.starts
+            manifest, starts = self.manifest, self._starts
             gripper = manifest.gripper
             shift_x, shift_y, yaw = np.random.default_rng(seed).uniform(starts.low, starts.high)
             self._joints, self._rates = np.array(manifest.start.arm_rad), np.zeros(len(manifest.joints))
@@ -141,13 +165,16 @@ class MockArm:
             self._rotation = rotation_of(np.array([0.0, 0.0, yaw]))
             self._goal = self._position + np.array(manifest.task.goal_offset_m)
             self._held: tuple[np.ndarray, np.ndarray] | None = None
-            self._wanted, self._way = self._opening, _standing(self._joints)
-            self._noise, self._told, self.trouble = np.random.default_rng(seed), None, ""
+            self._wanted = self._opening
+            self._way: Way | None = _standing(self._joints)
+            self._told: State | None = None
+            self.trouble: Trouble = ""
+            self._noise = np.random.default_rng(seed)
             self._at = self.clock.now()
 
     # -- what an interface makes it do
 
-    def aim(self, joints: np.ndarray) -> None:
+    def aim(self, joints: ArrayLike) -> None:
         """Go to angles (n,) [rad]."""
         with self._lock:
             self._go()
@@ -240,18 +267,21 @@ class MockArm:
         """Report this from now on, whatever is true."""
         self._told = state
 
-    def report(self) -> State:
-        """What it reports: its own state until told otherwise; the stamp is on our clock."""
-        return self._told or self.state()
+    def report(self) -> Report:
+        """What it reports: its own state until told otherwise."""
+        state = self._told or self.state()
+        unknown = np.full(len(state.joints), np.nan)
+        return Report(state.stamp, state.joints, unknown if state.speeds is None else state.speeds,
+                      unknown if state.efforts is None else state.efforts, np.nan if state.opening is None else state.opening, state.fault)
 
     def seen(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """A scene: what cameras report, stamped now."""
-        state = self.report()
+        state = self._told or self.state()
         return state.object_position, state.object_quaternion, state.goal, self.clock.now()
 
 
-def _standing(place: np.ndarray) -> Callable[[float], np.ndarray]:
-    """A way [s] -> (n,) that stays at one place."""
+def _standing(place: np.ndarray) -> Way:
+    """A way that stays at one place."""
     return lambda now: place
 
 
@@ -301,7 +331,7 @@ def ur_package(arm: MockArm) -> dict[str, types.ModuleType]:
         def stopScript(self) -> None:
             arm.halt()
 
-    def told(read: Callable[[State], Any]) -> Callable[[], Any]:
+    def told(read: Callable[[Report], Any]) -> Callable[[], Any]:
         return lambda: [] if arm.trouble == "gone" else read(arm.report())
 
     receive = SimpleNamespace(
@@ -448,7 +478,7 @@ def kortex_package(arm: MockArm) -> dict[str, types.ModuleType]:
         GripperCommand=lambda: SimpleNamespace(gripper=SimpleNamespace(finger=_Repeated())), ServoingModeInformation=SimpleNamespace,
     )
     base = Base()
-    content = {
+    content: dict[str, dict[str, Any]] = {
         "kortex_api": {}, "kortex_api.autogen": {}, "kortex_api.autogen.client_stubs": {}, "kortex_api.Exceptions": {},
         "kortex_api.autogen.client_stubs.BaseClientRpc": {"BaseClient": lambda router: base},
         "kortex_api.autogen.client_stubs.BaseCyclicClientRpc": {"BaseCyclicClient": lambda router: base},
@@ -512,7 +542,7 @@ def ros2_package(arm: MockArm) -> dict[str, types.ModuleType]:
         arm.clock.sleep(0.01)
         speak()
 
-    content = {
+    content: dict[str, dict[str, Any]] = {
         "rclpy": {"ok": lambda: True, "init": lambda: None, "create_node": lambda name: Node(), "spin_once": spin_once, "speak": speak},
         "builtin_interfaces": {}, "builtin_interfaces.msg": {"Duration": lambda sec, nanosec: sec + 1e-9 * nanosec},
         "sensor_msgs": {}, "sensor_msgs.msg": {"JointState": object}, "trajectory_msgs": {},
@@ -616,13 +646,24 @@ class MockedDriver:
             self.modules["rclpy"].speak()  # its messages come by themselves, 10 ms apart
         return self.read()
 
+    @property
+    def _connected(self) -> Driver:
+        """The vendor's driver.
+
+        Raises:
+            ToolkitError: it has been stopped, or was never connected.
+        """
+        if self._driver is None:
+            raise ToolkitError(f"the mock of {self.name} is not connected; begin an episode first")
+        return self._driver
+
     def read(self) -> State:
         """See Driver."""
-        return self._driver.read()
+        return self._connected.read()
 
     def send(self, command: Command) -> Command:
         """See Driver."""
-        return self._driver.send(command)
+        return self._connected.send(command)
 
     def stop(self, reason: str) -> None:
         """See Driver."""

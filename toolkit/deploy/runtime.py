@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TextIO, TypeVar
+from typing import Any, Literal, NamedTuple, TextIO, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tasks.task import Judge
 from toolkit.bundle.reading import Bundle
@@ -40,6 +41,13 @@ def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
     return float(max(0.0, middle - half)), float(min(1.0, middle + half))
 
 
+class _Seen(NamedTuple):
+    """What a state that nothing is wrong with shows: the observation (n_obs,), and the arm's angles (n,) [rad]."""
+
+    observation: np.ndarray
+    arm: np.ndarray
+
+
 @dataclass(eq=False)
 class Tick:
     """What one tick did.
@@ -47,7 +55,7 @@ class Tick:
     Attributes:
         command: what to send.
         fault: why the arm is held, if it is.
-        stop: whether it has been held long enough to be stopped.
+        stop: why it is to be stopped, once it has been held long enough.
         warning: entry of the observation farthest outside what training saw, if any.
         action: (7,) of the policy; NaN before it was asked.
         times: stage -> [s].
@@ -55,7 +63,7 @@ class Tick:
 
     command: Command
     fault: Fault | None
-    stop: bool
+    stop: Fault | None
     warning: str
     action: np.ndarray
     times: dict[str, float]
@@ -112,46 +120,58 @@ class Runtime:
             overdue: by how much this one begins after its time [s].
         """
         clock = [time.perf_counter()]
-        fault = self.guard.timing(late, overdue)
-        fault = (state if isinstance(state, Fault) else self.guard.state(state, now)) or fault
-        observation, warning, action, command = None, "", np.full(len(self.manifest.action), np.nan), None
-        if fault is None:
-            observation = self.observer(state, self.motion.grip.command)
-            fault = self.guard.observation(observation)
-        if fault is None:
-            fault = self.guard.alive(state, self.motion.grip.opening_m)
-        else:
-            self.guard.blind()
+        seen = self._seen(state, now, self.guard.timing(late, overdue))
         clock.append(time.perf_counter())
-        if fault is None:
-            warning = self.guard.unknown(observation)
-            action = np.array(self.policy(observation), float)
+        fault, warning, action = None, "", np.full(len(self.manifest.action), np.nan)
+        if isinstance(seen, Fault):
+            fault = seen
+        else:
+            warning = self.guard.unknown(seen.observation)
+            action = np.array(self.policy(seen.observation), float)
             fault = self.guard.action(action)
         clock.append(time.perf_counter())
-        if fault is None and (self._fault is None or self._fault.passing):
-            command = self.motion.advance(action, self.observer.arm(state))
-            fault = self.guard.command(command, self.motion)
-            if fault is not None:
+        command = None
+        if not isinstance(seen, Fault) and fault is None and (self._fault is None or self._fault.passing):
+            advanced = self.motion.advance(action, seen.arm)
+            fault = self.guard.command(advanced, self.motion)
+            if fault is None:
+                command = advanced
+            else:
                 self.motion.undo()
         self._fault = self._fault if self._fault is not None and not self._fault.passing else fault
-        if self._fault is not None:
+        if command is None or isinstance(seen, Fault):
             command = self.motion.hold()
             self._held += 1
         else:
             self._held = 0
             if self.observer.goal is not None:
-                left = float(np.linalg.norm(observation[self.observer.goal]))
+                left = float(np.linalg.norm(seen.observation[self.observer.goal]))
                 self._judge.tell(left < self.manifest.task.goal_tolerance_m)
         self.guard.sent(command, self.motion)
         clock.append(time.perf_counter())
         times = dict(zip(STAGES[1:4], np.diff(clock).tolist(), strict=True))
         command = self.observer.reported(command)
-        return Tick(command, self._fault, self._over, warning, action, times)
+        return Tick(command, self._fault, self._stop, warning, action, times)
+
+    def _seen(self, state: State | Fault, now: float, timing: Fault | None) -> _Seen | Fault:
+        """What a state shows; or what is wrong with it, with what is observed of it, or else with when this tick comes (``timing``)."""
+        if isinstance(state, Fault):
+            self.guard.blind()
+            return state
+        fault = self.guard.state(state, now) or timing
+        if fault is None:
+            observation = self.observer(state, self.motion.grip.command)
+            fault = self.guard.observation(observation)
+            if fault is None:
+                return self.guard.alive(state, self.motion.grip.opening_m) or _Seen(observation, self.observer.arm(state))
+        self.guard.blind()
+        return fault
 
     @property
-    def _over(self) -> bool:
-        """Whether the arm has been held long enough to be stopped; nobody who has slept waits any longer."""
-        return self._held > self.manifest.watch.hold_ticks or (self._fault is not None and self._fault.kind == "asleep")
+    def _stop(self) -> Fault | None:
+        """Why the arm is to be stopped: it has been held long enough; nobody who has slept waits any longer."""
+        fault = self._fault
+        return fault if fault is not None and (self._held > self.manifest.watch.hold_ticks or fault.kind == "asleep") else None
 
     def overslept(self, tick: Tick, seconds: float) -> Tick:
         """The tick with a command to hold in place of its own, which would be sent too late [s] for the state that it answers."""
@@ -161,7 +181,7 @@ class Runtime:
         if self._fault is None or self._fault.passing:
             self._fault = self.guard.overdue(seconds)
         self.guard.blind()
-        return replace(tick, command=self.observer.reported(self.motion.hold()), fault=self._fault, stop=self._over)
+        return replace(tick, command=self.observer.reported(self.motion.hold()), fault=self._fault, stop=self._stop)
 
     def _new_judge(self) -> Judge:
         says = self.manifest.simulation  # None in format version 2, whose tasks counted like all others
@@ -218,7 +238,7 @@ def play(
     first = _read(driver)
     fault = first if isinstance(first, Fault) else runtime.begin(*_timed(first, pace, 0.0, clock))
     if fault is not None:
-        outcome.stopped, outcome.faults = f"{fault.kind}: {fault.detail}", Counter([fault.kind])
+        outcome.stopped, outcome.faults = str(fault), Counter([fault.kind])
         driver.stop(outcome.stopped)
         log.note(episode, "stop", outcome.stopped)
         return outcome
@@ -243,9 +263,9 @@ def play(
             _count(outcome, tick, late)
             log.tick(episode, number, seen, tick, sent, late, now)
             if isinstance(sent, Fault):
-                outcome.stopped = f"{sent.kind}: {sent.detail}"
-            elif tick.stop:
-                outcome.stopped = f"{tick.fault.kind}: {tick.fault.detail}"
+                outcome.stopped = str(sent)
+            elif tick.stop is not None:
+                outcome.stopped = str(tick.stop)
             told = "" if isinstance(state, Fault) else state.outcome
             outcome.success = told == "success" or (not told and runtime.succeeded)
             if outcome.stopped or outcome.success:
@@ -330,7 +350,7 @@ class TickLog:
                 self._file.truncate(0)  # begun anew, but not under another's pen
         except OSError as error:
             raise ToolkitError(f"the log {path} cannot be written ({error.strerror}); choose another --log") from error
-        self._write({"format": LOG_FORMAT, "version": 1, "times": "ms", **about})
+        self._write(self._file, {"format": LOG_FORMAT, "version": 1, "times": "ms", **about})
 
     def tick(
         self, episode: int, number: int, state: State | Fault, tick: Tick, sent: Command | Fault, late: bool, now: float
@@ -350,12 +370,12 @@ class TickLog:
             row["fault"], row["detail"] = tick.fault.kind, tick.fault.detail
         if tick.warning:
             row["unknown"] = tick.warning
-        self._write(row)
+        self._write(self._file, row)
 
     def note(self, episode: int, what: str, text: str) -> None:
         """A line that is no tick."""
         if self._file is not None:
-            self._write({"episode": episode, what: text})
+            self._write(self._file, {"episode": episode, what: text})
 
     def close(self) -> None:
         """Finish the file."""
@@ -366,9 +386,9 @@ class TickLog:
             except OSError as error:
                 self._end(error)
 
-    def _write(self, row: dict[str, Any]) -> None:
+    def _write(self, file: TextIO, row: dict[str, Any]) -> None:
         try:
-            self._file.write(json.dumps(row) + "\n")
+            file.write(json.dumps(row) + "\n")
             self._lines += 1
         except OSError as error:
             self._end(error)
@@ -379,7 +399,7 @@ class TickLog:
         self.trouble = self.trouble or f"{self.path} is cut off after {self._lines} lines at most ({why}); the arm was not stopped for it"
 
 
-def _listed(values: np.ndarray) -> list[float | None]:
+def _listed(values: ArrayLike) -> list[float | None]:
     """Rounded numbers; null where one is not finite, as JSON has no NaN, and for what is no number at all."""
     try:
         numbers = np.ravel(np.asarray(values, float)).tolist()

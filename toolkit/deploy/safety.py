@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolkit.bundle.manifest import Manifest
-from toolkit.deploy.arm import Command, Form, State
+from toolkit.bundle.manifest import Manifest, Vector
+from toolkit.deploy.arm import Command, State
 from toolkit.deploy.kinematics import vector_of
 from toolkit.deploy.liveness import TURNED, ArmLiveness, ObjectLiveness
 from toolkit.deploy.motion import Motion
@@ -71,6 +71,9 @@ class Fault:
     kind: str
     detail: str
 
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.detail}"
+
     @property
     def passing(self) -> bool:
         """Whether the arm may go on once this is over."""
@@ -105,7 +108,7 @@ class Guard:
         box = manifest.cartesian
         self._box_low, self._box_high = np.array(box.low), np.array(box.high)
         self._clearance = box.table_top_m + box.table_clearance_m
-        self._held, self._hz, self._braking = watch.held_m, manifest.policy_hz, manifest.braking
+        self._held, self._hz = watch.held_m, manifest.policy_hz
         self._brakes = manifest.braking.curves if manifest.braking else {}
         names = [entry.name for entry in manifest.observation for _ in range(entry.size)]
         self._object = np.array([i for i, name in enumerate(names) if name == "object_from_grasp"])
@@ -320,27 +323,35 @@ class Guard:
                                             f"the table, less than {self.manifest.cartesian.table_clearance_m:.4f} m")
         if motion.tracking(self._arm) > self.manifest.watch.tracking_rad:
             return Fault("tracking", f"the arm stands {motion.tracking(self._arm):.3f} rad from where it was commanded")
-        return self._at_rest(place, motion.form) if motion.form in self._brakes else None
+        braking = self.manifest.braking
+        if braking is None or motion.form not in self._brakes:
+            return None
+        return self._at_rest(place, self._brakes[motion.form], braking.table_clearance_m)
 
-    def _at_rest(self, place: np.ndarray, form: Form) -> Fault | None:
+    def _at_rest(self, place: np.ndarray, curve: tuple[Vector, Vector], clearance: float) -> Fault | None:
         """Whether the arm would come to rest off the table and in its box, were it held after a command to grasp coordinates (6,).
 
         Held, it first goes where the command leads, and then brakes, as from the speed that is measured.
+
+        Args:
+            place: [m, rad] in the task frame.
+            curve: speeds [m/s] and the distance [m] gone from each.
+            clearance: smallest height [m] above the table.
         """
         kinematics, speed = self.observer.kinematics, float(np.linalg.norm(self._velocity))
         if speed < CREEPING:
             return None
         here = kinematics.position
-        rest = place[:3] + float(np.interp(speed, *self._brakes[form])) * self._velocity / speed
+        rest = place[:3] + float(np.interp(speed, *curve)) * self._velocity / speed
         out = (rest < self._box_low[:3] - OVERSHOOT) | (rest > self._box_high[:3] + OVERSHOOT)
         if out.any():
             worst = int(out.argmax())
             return Fault("workspace", f"held now, at {speed:.2f} m/s, the arm would come to rest at {COORDINATES[worst]} = "
                                       f"{rest[worst]:.3f}, outside the workspace box")
         height = kinematics.lowest() + min(0.0, float(rest[2] - here[2])) - self.manifest.cartesian.table_top_m
-        if self._velocity[2] < 0.0 and height < self._braking.table_clearance_m:
+        if self._velocity[2] < 0.0 and height < clearance:
             return Fault("table_clearance", f"held now, at {speed:.2f} m/s, the gripper would come to rest {height:.4f} m above the table, "
-                                            f"less than {self._braking.table_clearance_m:.4f} m")
+                                            f"less than {clearance:.4f} m")
         return None
 
     def alive(self, state: State, opening_m: float) -> Fault | None:
