@@ -50,7 +50,7 @@ class Side:
         arm: joint ids from base to flange.
         fingers: actuator ids, in the order of the plant's command law.
         pads: finger -> geom id of its outermost pad: the last primitive on the finger's last link.
-        jaws: masks (nbody,) of the bodies of the thumb and of the other fingers.
+        jaws: masks (nbody,) of the bodies of the thumb and of the other fingers; None: the gripper has no contact with itself.
         item: body id of the object.
     """
 
@@ -59,7 +59,7 @@ class Side:
     arm: list[int]
     fingers: list[int]
     pads: dict[str, int]
-    jaws: tuple[np.ndarray, np.ndarray]
+    jaws: tuple[np.ndarray, np.ndarray] | None
     item: int
 
     def clamped(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -87,8 +87,12 @@ class Side:
             plan += [float(commands[0])] * step
         for now in [*plan, *[command] * int(round(SETTLING / model.opt.timestep))]:
             self.close_to(model, data, now, model.opt.timestep)
-            met = met or jaws_meet(model, data, self.jaws)
+            met = met or self.jaws_met(model, data)
         return data, met
+
+    def jaws_met(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Whether the thumb touches another finger."""
+        return self.jaws is not None and jaws_meet(model, data, self.jaws)
 
     def pad_poses(self, data: mujoco.MjData) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Finger -> position (3,) [m] and rotation (3, 3) of its pad in the grasp frame."""
@@ -163,8 +167,7 @@ def _merged_side(merged: MergedRobot, index: int) -> Side:
     system = matching.systems[index]
     arm = [model.joint(slot.name).id for i, slot in enumerate(matching.slots[: matching.arm_size]) if system.present(i)]
     fingers = [model.actuator(slot.name).id for slot in matching.slots if slot.name in ROLE_COMMAND]
-    never_meet = (np.zeros(model.nbody, bool),) * 2
-    return Side(plant, model.site("grasp").id, arm, fingers, pads, never_meet, model.body("object").id)
+    return Side(plant, model.site("grasp").id, arm, fingers, pads, None, model.body("object").id)
 
 
 # ---- figures ---------------------------------------------------------------------------------------------------------
@@ -208,7 +211,7 @@ def parity(merged: MergedRobot, robot: Robot) -> dict[str, str | float]:
         "pad_position_error_m": position,
         "pad_angle_error_deg": angle,
         "pad_force_rel_error": abs(force - own_force) / max(own_force, 1e-9),
-        "closing_time_difference_steps": abs(np.subtract(*closing_steps(mine, own))),
+        "closing_time_difference_steps": float(abs(np.subtract(*closing_steps(mine, own)))),
         "grasp_frame_drift_m": drift(mine, own),
     }
 
@@ -307,7 +310,7 @@ def _gaps(side: Side, steps: int) -> np.ndarray:
             mujoco.mj_step(model, data, part)
             pads = [data.geom_xpos[side.pads[finger]] for finger in ("FF", "TH")]
             out.append(float(np.linalg.norm(np.subtract(*pads))))
-            if jaws_meet(model, data, side.jaws):
+            if side.jaws_met(model, data):
                 return np.array(out)
     return np.array(out)
 

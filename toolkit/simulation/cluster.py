@@ -288,7 +288,7 @@ class Cluster:
     def _difference(self, machine: str, theirs: dict[str, Any], key: str) -> str:
         if key == "numbers":
             return (f"node {machine} has this machine's versions but plays an episode to other bits, as another kind of processor may; "
-                    "leave it out of the cluster, or start from a machine of its kind")  # fmt: skip
+                    "leave it out of the cluster, or start from a machine of its kind")
         what = "code of the toolkit" if key == "code" else key
         return f"node {machine} has {what} {theirs.get(key)}, this machine {self._own[key]}; install the same on all nodes"
 
