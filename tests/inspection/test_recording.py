@@ -32,15 +32,6 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def small(task):
-    """ADROIT and Jaco, merged."""
-    from robots import ROBOTS
-    from toolkit.morphology.lab import Lab
-
-    return Lab(ROBOTS["adroit"], [ROBOTS["jaco"]], task)
-
-
-@pytest.fixture(scope="module")
 def policy():
     return load_expert("adroit", TASKS["061_foam_brick"])[0]
 

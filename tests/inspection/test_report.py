@@ -21,15 +21,6 @@ BROWSER = next((found for name in ("chromium", "google-chrome", "chrome") if (fo
 
 
 @pytest.fixture(scope="module")
-def small(task):
-    """ADROIT and Jaco, merged."""
-    from robots import ROBOTS
-    from toolkit.morphology.lab import Lab
-
-    return Lab(ROBOTS["adroit"], [ROBOTS["jaco"]], task)
-
-
-@pytest.fixture(scope="module")
 def finished(small, tmp_path_factory):
     """A finished run folder with made-up figures."""
     folder = tmp_path_factory.mktemp("runs") / "run"

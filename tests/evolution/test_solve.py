@@ -1,6 +1,5 @@
 """The shortest tree, checked against every topology solved by other means, and Algorithm 2's manners."""
 
-import json
 import time
 
 import numpy as np
@@ -10,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import cdist
+from toy_trees import hanan_length, robots, tree_of
 
 from toolkit.errors import ToolkitError
 from toolkit.evolution import (
@@ -19,25 +19,12 @@ from toolkit.evolution import (
     evolution_tree,
     l1,
     l2,
-    load_points,
     next_meta_robot,
-    plot_tree,
-    tree_from_points,
 )
 from toolkit.evolution.bounds import tour_bound
-from toolkit.evolution.parsimony import search, stepwise_addition, tree_length
-from toolkit.evolution.topology import graft, postorder, prune, reroot
+from toolkit.evolution.parsimony import search
 
 SCIPY = {"l1": "cityblock", "l2": "euclidean"}
-
-
-def robots(points):
-    points = np.asarray(points, dtype=float)
-    return Terminal("source", points[0]), [Terminal(f"t{i}", p) for i, p in enumerate(points[1:], 1)]
-
-
-def tree_of(points, metric="l1", kind="steiner"):
-    return evolution_tree(*robots(points), metric, kind)
 
 
 def metas(tree):
@@ -82,23 +69,6 @@ def topologies(n):
             for i in range(len(tree))
         ]
     return trees
-
-
-def hanan_length(edges, points):
-    """L1 length of one topology: dynamic programming over the terminals' coordinates, dimension by dimension."""
-    neighbours = {}
-    for a, b in edges:
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-
-    def cost(node, parent, values):
-        own = np.where(values == values[node], 0.0, np.inf) if node < len(values) else np.zeros(len(values))
-        for child in neighbours[node]:
-            if child != parent:
-                own = own + (cost(child, node, values) + np.abs(values[:, None] - values)).min(axis=1)
-        return own
-
-    return sum(cost(0, None, column).min() for column in points.T)
 
 
 def euclidean_length(edges, points, rng):
@@ -209,33 +179,6 @@ def test_the_tour_bound_is_a_bound_and_beats_half_a_spanning_tree(metric):
     chain = np.linspace(0, 1, 6)[:, None] * np.ones(3)
     short = 1 - tour_bound(chain, metric) / tree_of(chain, metric).length
     assert 0 <= short + 1e-12 < 0.01, f"a chain's tour is its double, but the bound is {short:.2%} short of it"
-
-
-# --------------------------------------------------------------------------- topologies as arrays, by hypothesis
-
-
-@settings(max_examples=40)
-@given(st.integers(3, 9), st.integers(0, 10_000))
-def test_surgery_keeps_a_tree_a_tree(n, seed):
-    """Grafts, prunes and reroots in random order: every node keeps its one parent, and the length does not depend on the root."""
-    rng = np.random.default_rng(seed)
-    points = rng.random((n, 4))
-    parent, kids = stepwise_addition(points, 1 + rng.permutation(n - 1))
-    for _ in range(5):
-        node = int(rng.choice([v for v in range(1, 2 * n - 2) if parent[v] != 0]))
-        hub, place = parent[node], prune(parent, kids, node)
-        graft(parent, kids, node, hub, place)
-        length, root = tree_length(points, parent, kids), int(rng.integers(n))
-        reroot(parent, kids, 0, root)
-        assert parent[root] == -1 and kids[root, 1] == -1
-        reroot(parent, kids, root, 0)
-        assert tree_length(points, parent, kids) == pytest.approx(length)
-    order = np.empty(n, np.int64)
-    assert postorder(kids, 0, order) == n - 2 and parent[0] == -1
-    for node in range(1, 2 * n - 2):
-        assert node in kids[parent[node]] and (kids[node] >= 0).all() == (node >= n)
-    edges = [(node, int(parent[node])) for node in range(1, 2 * n - 2)]
-    assert tree_length(points, parent, kids) == pytest.approx(hanan_length(edges, points))
 
 
 # ------------------------------------------------------------------------------------- cases known by hand
@@ -360,6 +303,7 @@ def test_meta_robots_do_not_take_a_robot_s_name():
 
 
 # --------------------------------------------------------------------------------------------- properties
+
 
 clouds = st.integers(2, 7).flatmap(
     lambda n: st.integers(1, 4).flatmap(
@@ -549,64 +493,6 @@ def test_a_replan_with_three_and_with_eight_targets_is_quick(metric, n, d, limit
 
 # ------------------------------------------------------------------------------------------- files and errors
 
-GOOD = {"source": {"name": "hand", "alpha": [0, 0.5]}, "targets": [{"name": "jaw", "alpha": [1, 0.25]}]}
-
-
-def test_points_file_round_trip(tmp_path):
-    path = tmp_path / "points.json"
-    path.write_text(json.dumps(GOOD))
-    source, targets = load_points(path)
-    assert source.name == "hand" and [t.name for t in targets] == ["jaw"]
-    tree = tree_from_points(path)
-    assert tree.to_json() == tree_from_points(GOOD).to_json() == tree_from_points(str(path)).to_json()
-
-
-BROKEN = {
-    "not JSON": ("{", "not JSON"),
-    "a list": ([1], "list"),
-    "no source": ({"targets": GOOD["targets"]}, '"source"'),
-    "no key targets": ({"source": GOOD["source"]}, '"targets"'),
-    "empty targets": ({**GOOD, "targets": []}, "empty"),
-    "targets not a list": ({**GOOD, "targets": {"a": 1}}, "list of robots"),
-    "robot not an object": ({**GOOD, "targets": [3]}, r"targets\[0\]"),
-    "no alpha": ({**GOOD, "targets": [{"name": "jaw"}]}, '"alpha"'),
-    "no name": ({**GOOD, "source": {"alpha": [0, 0]}}, '"name"'),
-    "empty name": ({**GOOD, "source": {"name": "", "alpha": [0, 0]}}, "name"),
-    "unequal D": ({**GOOD, "targets": [{"name": "jaw", "alpha": [1]}]}, "dimensions"),
-    "no dimensions": ({**GOOD, "source": {"name": "hand", "alpha": []}}, "shape"),
-    "text": ({**GOOD, "source": {"name": "hand", "alpha": ["0", 1]}}, "numbers"),
-    "null": ({**GOOD, "source": {"name": "hand", "alpha": [None, 1]}}, "nan|numbers"),
-    "an object": ({**GOOD, "source": {"name": "hand", "alpha": [{}, 1]}}, "numbers"),
-    "truth": ({**GOOD, "source": {"name": "hand", "alpha": [True, 1]}}, "numbers"),
-    "not a list": ({**GOOD, "source": {"name": "hand", "alpha": 3}}, "numbers"),
-    "nested": ({**GOOD, "source": {"name": "hand", "alpha": [[0, 1]]}}, "numbers"),
-    "not a number": ({**GOOD, "source": {"name": "hand", "alpha": [float("nan"), 1]}}, r"alpha\[0\] is nan"),
-    "infinite": ({**GOOD, "source": {"name": "hand", "alpha": [0, float("inf")]}}, r"alpha\[1\] is inf"),
-    "huge": ({**GOOD, "source": {"name": "hand", "alpha": [0, 10**400]}}, "too large"),
-    "outside": ({**GOOD, "targets": [{"name": "jaw", "alpha": [1, 1.5]}]}, r"alpha\[1\] is 1.5"),
-    "twice": ({**GOOD, "targets": [{"name": "hand", "alpha": [1, 1]}]}, "twice"),
-}
-
-
-@pytest.mark.parametrize("content, message", BROKEN.values(), ids=BROKEN)
-def test_broken_points_files(content, message, tmp_path):
-    path = tmp_path / "points.json"
-    path.write_text(content if isinstance(content, str) else json.dumps(content))
-    with pytest.raises(ToolkitError, match=message) as error:
-        tree_from_points(path)
-    assert "points.json" in str(error.value) and "\n" not in str(error.value)
-
-
-def test_missing_and_unreadable_files(tmp_path):
-    with pytest.raises(ToolkitError, match="cannot be read"):
-        load_points(tmp_path / "nowhere.json")
-    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ToolkitError, match="not JSON"):
-        load_points(tmp_path / "bytes.json")
-    (tmp_path / "deep.json").write_text("[" * 100_000)
-    with pytest.raises(ToolkitError, match="not JSON"):
-        load_points(tmp_path / "deep.json")
-
 
 def test_unknown_metric_kind_and_too_many():
     source, targets = robots([[0, 0], [1, 1]])
@@ -616,28 +502,3 @@ def test_unknown_metric_kind_and_too_many():
         next_meta_robot(source, targets, "l1", "bush")
     with pytest.raises(ToolkitError, match="at most"):
         evolution_tree(source, [Terminal(f"t{i}", [0.5, 0.5]) for i in range(60)])
-
-
-def test_json_contract():
-    tree = tree_of(np.random.default_rng(15).random((5, 6)))
-    record = json.loads(json.dumps(tree.to_json()))
-    assert list(record) == ["metric", "kind", "length", "optimal", "lower_bound", "nodes", "edges"]
-    assert all(list(node) == ["name", "kind", "alpha"] for node in record["nodes"])
-    assert all(list(edge) == ["from", "to", "length"] for edge in record["edges"])
-    assert {node["kind"] for node in record["nodes"]} == {"source", "meta", "target"}
-    assert record["length"] == pytest.approx(sum(edge["length"] for edge in record["edges"]))
-    assert isinstance(record["optimal"], bool)
-
-
-def test_alpha_is_read_only():
-    robot = Terminal("a", [0.0, 1.0])
-    with pytest.raises(ValueError, match="read-only"):
-        robot.alpha[0] = 1
-
-
-def test_plot(tmp_path):
-    tree = tree_of(np.random.default_rng(16).random((6, 10)))
-    plot_tree(tree, tmp_path / "tree.png")
-    assert (tmp_path / "tree.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ToolkitError, match="cannot be written"):
-        plot_tree(tree, tmp_path / "tree.xyz")

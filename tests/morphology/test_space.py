@@ -1,19 +1,14 @@
-"""The merged tree and its space: every robot is a point of it, exactly, and every point between is a possible robot."""
+"""The evolution space: every robot is a point of it, and between them lies what can be built."""
 
-from dataclasses import replace
-
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from grippers.gripper import COMMANDED_ROLES, ROLE_PARENT
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
-from toolkit.morphology.arithmetic import bones, directions, principal, quaternion, turned
-from toolkit.morphology.matching import match, merged_slots
+from toolkit.morphology.arithmetic import directions
 from toolkit.morphology.quantities import QUANTITIES
 from toolkit.morphology.space import axis_to_tangent, gyration, tangent_basis
 
@@ -35,104 +30,6 @@ def entries(space, theta):
             for column, component in enumerate(f.components):
                 out[".".join(part for part in (item, f.name, component) if part)] = theta[f.name][row, column]
     return out
-
-
-# -- matching ------------------------------------------------------------------------------------------------
-
-
-def test_slots_are_the_arm_then_the_roles_parents_first(matching):
-    names = [slot.name for slot in matching.slots]
-    assert names == [f"arm{i + 1}" for i in range(matching.arm_size)] + list(ROLE_PARENT)
-    for index, slot in enumerate(matching.slots):
-        assert slot.parent < index, f"{slot.name} comes before its parent"
-        assert slot.sliding == slot.name.endswith("S"), f"{slot.name} is of the wrong kind"
-        if slot.name in ROLE_PARENT:
-            parent = ROLE_PARENT[slot.name] or f"arm{matching.arm_size}"
-            assert names[slot.parent] == parent, f"{slot.name} hangs on {names[slot.parent]}, not on {parent}"
-
-
-@every_robot
-def test_screws_stand_where_mujoco_puts_the_joints(matching, native, name):
-    system, robot = matching.systems[matching.names.index(name)], native(name)
-    data = mujoco.MjData(robot.model)
-    data.qpos[:] = robot.data.qpos
-    mujoco.mj_kinematics(robot.model, data)
-    for slot, joint in zip(matching.slots, system.joints, strict=True):
-        if joint is None or joint.mujoco_joint < 0:
-            continue
-        anchor = np.array(data.xanchor[joint.mujoco_joint])
-        if slot.sliding:  # MuJoCo leaves a slide's anchor where it was before sliding
-            anchor += (joint.screw.anchor - anchor) @ joint.screw.axis * joint.screw.axis
-        np.testing.assert_allclose(joint.screw.anchor, anchor, atol=1e-9, err_msg=slot.name)
-        np.testing.assert_allclose(
-            joint.sign * joint.screw.axis, data.xaxis[joint.mujoco_joint], atol=1e-9, err_msg=slot.name
-        )
-
-
-@pytest.mark.parametrize("name", list(ROBOTS))
-def test_the_start_lies_within_every_merged_limit(matching, name):
-    """Zero is the start posture; a joint may rest against its soft stop, a degree beyond, and no further."""
-    system = matching.systems[matching.names.index(name)]
-    beyond = {slot.name: float(max(joint.limits[0], -joint.limits[1]))
-              for slot, joint in zip(matching.slots, system.joints, strict=True) if joint is not None}
-    worst = max(beyond, key=beyond.get)
-    assert beyond[worst] < np.deg2rad(1), f"{name} {worst}: starts {beyond[worst]:.3f} rad beyond its limit"
-
-
-@every_robot
-def test_fingers_close_in_the_positive_sense(matching, name):
-    system = matching.systems[matching.names.index(name)]
-    for slot, joint in zip(matching.slots, system.joints, strict=True):
-        if joint is not None and joint.stiffness > 0:
-            assert joint.target_closed >= joint.target_open, f"{name} {slot.name} opens where the merged robot closes"
-
-
-@every_robot
-def test_observed_fingers_turn_alike_in_the_native_scene(matching, native, name):
-    system = matching.systems[matching.names.index(name)]
-    signs = {slot.name: j.sign for slot, j in zip(matching.slots, system.joints, strict=True) if j}
-    alone = {role: sign for role, (q, sign, _) in zip(COMMANDED_ROLES, native(name)._fingers, strict=True) if q >= 0}
-    hinges = set(ROBOTS[name].gripper.joints) & set(COMMANDED_ROLES)
-    assert set(alone) == hinges and alone == {role: signs[role] for role in alone}
-
-
-def test_one_robot_is_no_merged_tree():
-    with pytest.raises(ToolkitError, match="at least two different robots; got kinova3"):
-        match([ROBOTS["kinova3"]])
-    with pytest.raises(ToolkitError, match="at least two different robots; got kinova3, kinova3"):
-        match([ROBOTS["kinova3"], ROBOTS["kinova3"]])
-
-
-def test_roles_that_nobody_has_and_nobody_commands_are_left_out():
-    slots = merged_slots(["arm1"], {"THS"})
-    parent = {slot.name: slots[slot.parent].name for slot in slots[1:]}
-    assert set(parent) == {*COMMANDED_ROLES, "THS"}
-    assert parent["THJ4"] == "THS" and parent["FFJ3"] == "arm1"
-
-
-def test_six_joints_leave_out_the_roll_of_the_upper_arm(matching):
-    """UR5e has no joint that turns the elbow about the line from shoulder to wrist; the other six pair in order."""
-    system = matching.systems[matching.names.index("ur5e")]
-    absent = [slot.name for i, slot in enumerate(matching.slots[: matching.arm_size]) if not system.present(i)]
-    assert absent == ["arm3"]
-    assert (system.torque_limits[2], system.torque_limits.min()) == (0.0, 0.0)
-    others = [s for s in matching.systems if s is not system]
-    assert all(s.present(i) for s in others for i in range(7)), "an arm of seven joints leaves one out"
-
-
-def test_a_joint_that_the_gripper_lacks_is_named_with_those_it_has():
-    gripper = replace(ROBOTS["jaco"].gripper, joints={**ROBOTS["jaco"].gripper.joints, "THJ1": "joint_big_toe"})
-    with pytest.raises(
-        ToolkitError, match="role THJ1 names joint 'joint_big_toe', which its model lacks; it has .*joint_thumb"
-    ):
-        match([ROBOTS["kinova3"], replace(ROBOTS["jaco"], gripper=gripper)])
-
-
-def test_a_target_on_a_joint_without_an_actuator_is_named():
-    card = ROBOTS["jaco"].gripper
-    gripper = replace(card, targets={**card.targets, "THJ1": (0.0, 1.0)})
-    with pytest.raises(ToolkitError, match="role THJ1 has a target, but joint 'joint_thumb_distal' has no actuator"):
-        match([ROBOTS["kinova3"], replace(ROBOTS["jaco"], gripper=gripper)])
 
 
 # -- every robot is a point of the space ---------------------------------------------------------------------
@@ -288,6 +185,7 @@ def test_beta_is_a_copy(space):
 
 # -- coordinates ---------------------------------------------------------------------------------------------
 
+
 finite = st.floats(-1.0, 1.0)
 vectors = st.tuples(finite, finite, finite).map(np.array)
 
@@ -337,47 +235,3 @@ def test_every_tangent_is_a_direction(reference, tangent):
     )
     axis = directions(tangent[None], reference[None], basis[None])[0]
     assert abs(np.linalg.norm(axis) - 1) < 1e-12, f"axis of length {np.linalg.norm(axis)}"
-
-
-# -- compiled arithmetic, against NumPy, SciPy and MuJoCo ------------------------------------------------------
-
-
-@given(mass=st.floats(1e-3, 20.0), root=st.tuples(*[st.floats(-0.3, 0.3)] * 6).map(np.array))
-def test_principal_moments_in_their_frame_are_the_inertia(mass, root):
-    moments, frames = principal(np.array([mass]), root[None], 0.0)
-    rotation = Rotation.from_quat(frames[0], scalar_first=True).as_matrix()
-    wanted = inertia_from_gyration(np.array([mass]), root[None])[0]
-    assert abs(np.linalg.norm(frames[0]) - 1) < 1e-12
-    np.testing.assert_allclose(rotation @ np.diag(moments[0]) @ rotation.T, wanted, atol=1e-12 * max(1.0, mass))
-
-
-@given(turn=vectors)
-def test_a_quaternion_is_its_matrix(turn):
-    rotation = Rotation.from_rotvec(3 * turn)
-    back = Rotation.from_quat(quaternion(rotation.as_matrix()), scalar_first=True)
-    assert (back * rotation.inv()).magnitude() < 1e-7
-
-
-@given(turn=vectors, reference=vectors)
-def test_a_turn_comes_after_its_reference(turn, reference):
-    start = Rotation.from_rotvec(3 * reference)
-    got = turned(3 * turn[None], start.as_quat(scalar_first=True)[None])[0]
-    wanted = Rotation.from_rotvec(3 * turn) * start
-    assert (Rotation.from_quat(got, scalar_first=True) * wanted.inv()).magnitude() < 1e-7
-
-
-@given(anchor=vectors, tip=vectors)
-def test_a_bone_reaches_from_anchor_to_tip(anchor, tip):
-    assume(np.linalg.norm(tip - anchor) > 1e-6)
-    centre, frame, size = (out[0] for out in bones(anchor[None], tip[None], np.array([0.01]), 1e-5))
-    axis = Rotation.from_quat(frame, scalar_first=True).as_matrix()[:, 2]
-    reach = max(size[1], 0.5 * np.linalg.norm(tip - anchor))
-    np.testing.assert_allclose(anchor + centre + reach * axis, tip, atol=1e-9)
-    np.testing.assert_allclose(anchor + centre - reach * axis, anchor, atol=1e-9)
-    assert size[0] == 0.01
-
-
-def test_a_bone_straight_down_has_a_frame():
-    _, frame, size = bones(np.zeros((1, 3)), np.array([[0.0, 0.0, -0.4]]), np.array([0.01]), 1e-5)
-    np.testing.assert_allclose(Rotation.from_quat(frame[0], scalar_first=True).as_matrix()[:, 2], [0, 0, -1], atol=1e-12)
-    assert size[0, 1] == pytest.approx(0.2)
