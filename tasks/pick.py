@@ -40,15 +40,17 @@ OBSERVATION = Record({
     # Where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An
     # object that turned in the grasp, or hangs lower in it, is carried past the goal.
     "object_from_grasp": Entry(
-        3, "m", "task", "object centre from the grasp frame origin", scale=0.05, explored=0.012, noise=0.01, jump=0.03
+        3, "m", "task", "object centre from the grasp frame origin", scale=0.05, explored=0.012, gain=0.4, noise=0.01, jump=0.03
     ),
     "object_rotation": Entry(3, "1", "task", f"{_UPRIGHT}: axis times sine of the angle", scale=0.1, noise=0.2, jump=0.3),
-    "goal_from_object": Entry(3, "m", "task", "goal from the object centre", scale=0.05, explored=0.05, noise=0.03, jump=0.03),
+    "goal_from_object": Entry(
+        3, "m", "task", "goal from the object centre", scale=0.05, explored=0.05, gain=0.4, noise=0.03, jump=0.03
+    ),
 })
 """The observation record. The same for every robot; joints that a robot lacks read zero."""
 ACTION = Record({
-    # On a gripper that closes slowly the hand has to wait for it.
-    "grasp_translation": Entry(3, "0.05 m", "controller", "OSC delta of the grasp frame's origin", explored=0.05),
+    # On a gripper that closes slowly the hand has to wait for it; what is seen late, or by a noisy camera, asks for slower motions.
+    "grasp_translation": Entry(3, "0.05 m", "controller", "OSC delta of the grasp frame's origin", explored=0.05, gain=0.4),
     "grasp_rotation": Entry(3, "0.5 rad", "controller", "OSC delta of the grasp frame's rotation"),
     **{f"close/{role}": Entry(1, "1", "gripper", "-1 open, +1 closed posture of that joint") for role in COMMANDED_ROLES},
 })

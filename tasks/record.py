@@ -19,6 +19,8 @@ class Entry:
         scale: smallest scale by which a policy normalises it [unit], so that a number that hardly moves on the source is never blown up.
         explored: standard deviation with which a search begins to explore its offset (of an observation), or its response to what the
             policy meets (of an action) [unit]; 0: never.
+        gain: standard deviation with which a search begins to explore the logarithm of its gain, one for all its numbers: how large it
+            is seen (of an observation), or done (of an action); 0: never.
         noise: standard deviation of the noise on copied observations from which a clone learns [unit].
         jump: change per policy step that is never called a jump [unit].
     """
@@ -29,6 +31,7 @@ class Entry:
     meaning: str = ""
     scale: Numbers = 1.0
     explored: Numbers = 0.0
+    gain: float = 0.0
     noise: Numbers = 0.0
     jump: Numbers = 0.0
 

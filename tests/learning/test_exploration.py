@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from toolkit.errors import ToolkitError
-from toolkit.learning.exploration import Directions, Explored, SearchConfig, Trials, leading_features, mirrored, natural_step
+from toolkit.learning.exploration import Directions, Explored, Gain, Gains, SearchConfig, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.policy import GaussianPolicy
 
 
@@ -175,6 +175,18 @@ def test_steps_add_up():
     seen = rng.standard_normal((20, 2))
     twice = directions.moved(directions.moved(original, first), second)
     np.testing.assert_allclose(twice.mean(seen), directions.moved(original, first + second).mean(seen), rtol=1e-10, atol=1e-12)
+
+
+def test_a_gain_is_how_large_an_entry_is_seen_or_done():
+    """About the zero of the entry itself, not of the normalisation, which has a shift; and steps add up."""
+    original, gains = policy(), Gains((Gain("observation", slice(1, 2), 0.4), Gain("action", slice(0, 1), 0.2)))
+    np.testing.assert_array_equal(gains.deviation, [0.4, 0.2])
+    seen = np.random.default_rng(1).standard_normal((20, 2))
+    moved = gains.moved(original, np.log([0.5, 3.0]))
+    np.testing.assert_allclose(moved.mean(seen), 3.0 * original.mean(seen * [1.0, 0.5]), rtol=1e-12, atol=1e-15)
+    again = gains.moved(moved, np.log([2.0, 1 / 3]))
+    np.testing.assert_allclose(again.mean(seen), original.mean(seen), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(original.layers().shift, [0.3, -0.2])
 
 
 def test_leading_features_are_the_last_layers_fisher_directions():

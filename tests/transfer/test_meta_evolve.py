@@ -22,7 +22,7 @@ from toolkit.evolution import Terminal, evolution_tree
 from toolkit.evolution.bend import Bend
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.learning.episode import Episode
-from toolkit.learning.exploration import Explored, SearchConfig
+from toolkit.learning.exploration import Explored, Gain, SearchConfig
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.runs.run import Run
@@ -1042,6 +1042,20 @@ def test_responses_have_a_turn_between_offsets_and_weights(tmp_path):
     assert cost.check_episodes == sum(len(call["seeds"]) for call in toy.of(training=False))
     watched = cost.check_episodes - sum(r["checked"] for r in records(transfer) if r["event"] in ("check", "look", "explore"))
     assert watched > 0 and watched % 8 == 0, "the states that responses are to are seen in checks"
+    assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
+
+
+def test_gains_have_a_turn_after_offsets(tmp_path):
+    """What the policy does has to become larger or smaller: no offset does that, where it sees nothing."""
+    settings = config(learner="search", patience=6, search=SearchConfig(batch_size=8, features=1), path_budget=5_000)
+    explored = Explored(np.array([0.2]), np.zeros(1), (Gain("action", slice(0, 1), 1.0),))
+    transfer = transfer_of(tmp_path / "run", settings, Toy(), targets=TARGETS[:1], explored=explored)
+    assert transfer.training.search.turns == ("offset", "gain", "weights")
+    blind = expert()[0].parameters.copy()
+    blind[:16], blind[-2] = 0.0, wanted(SOURCE.alpha)
+    transfer.pending[0].policy.set_parameters(blind)
+    transfer.meta_evolve()
+    assert {r.get("turn") for r in records(transfer, "update")} == {"offset", "gain"}
     assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
 
 

@@ -1,9 +1,10 @@
 """Exploration in a few of the policy's own parameters, held for an episode.
 
-White noise on the actions, twenty times a second, hardly moves a grasp: the policy's own feedback takes it back. Two things do,
-when they are the same for a whole episode, and both are parameters of the policy already:
+White noise on the actions, twenty times a second, hardly moves a grasp: the policy's own feedback takes it back. Three things do,
+when they are the same for a whole episode, and all are parameters of the policy already:
 
     offsets     of a few entries of the observation, the shift of its normalisation: where the object is believed to be
+    gains       of a few entries, its scale or its last layer's: how far off the object is believed to be, how fast the hand goes
     responses   of a few actions to the leading features of the states it meets, its last layer: what it does while its fingers close
 
 So the policy plays as it is, without noise on its actions, once per step drawn from a normal distribution in these directions, and the
@@ -19,6 +20,7 @@ along the leading eigenvectors of the features' second moments, which are those 
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -78,12 +80,28 @@ def mirrored(pairs: int, dimensions: int, rng: np.random.Generator) -> np.ndarra
 
 
 @dataclass(frozen=True)
+class Gain:
+    """One number that says how large an entry of a record is seen, or done.
+
+    Attributes:
+        record: of which the entry is.
+        entry: its numbers, which share the gain.
+        deviation: standard deviation of the gain's logarithm with which a search begins, positive.
+    """
+
+    record: Literal["observation", "action"]
+    entry: slice
+    deviation: float
+
+
+@dataclass(frozen=True)
 class Explored:
     """What a task lets a search explore, as standard deviations with which it begins; 0: nothing.
 
     Attributes:
         observation: (n_obs,) of the offset of each entry, in its unit.
         action: (n_act,) of the response of each action to a feature of root mean square 1, in its unit.
+        gains: of entries.
 
     Raises:
         ToolkitError: nothing is to be explored, or a deviation is negative.
@@ -91,6 +109,7 @@ class Explored:
 
     observation: np.ndarray
     action: np.ndarray
+    gains: tuple[Gain, ...] = ()
 
     def __post_init__(self) -> None:
         both = np.concatenate([self.observation, self.action])
@@ -136,6 +155,38 @@ class Directions:
         W[self.outputs] += response[:, :-1]
         b[self.outputs] += response[:, -1]
         twin.set_normalisation(shift, layers.scale.copy())
+        twin.set_last_layer(W, b)
+        return twin
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Directions in which a policy is moved: d = logarithms of gains, about the zero of what is seen or done.
+
+    Attributes:
+        gains: of entries.
+    """
+
+    gains: tuple[Gain, ...]
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(d,) standard deviations as declared."""
+        return np.array([gain.deviation for gain in self.gains])
+
+    def moved(self, policy: GaussianPolicy, step: np.ndarray) -> GaussianPolicy:
+        """A copy of the policy that sees, or does, every entry exp(step (d,)) times as large."""
+        twin, layers = policy.copy(), policy.layers()
+        shift, scale = layers.shift.copy(), layers.scale.copy()
+        W, b = (array.copy() for array in layers.weights[-1])
+        for gain, factor in zip(self.gains, np.exp(step), strict=True):
+            if gain.record == "observation":
+                shift[gain.entry] /= factor
+                scale[gain.entry] /= factor
+            else:
+                W[gain.entry] *= factor
+                b[gain.entry] *= factor
+        twin.set_normalisation(shift, scale)
         twin.set_last_layer(W, b)
         return twin
 

@@ -19,8 +19,8 @@ from toolkit.learning.policy import (
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.seeds import TRAINING_SEEDS
 
-Turn = Literal["offset", "response", "weights"]
-TURNS: tuple[Turn, ...] = ("offset", "response", "weights")
+Turn = Literal["offset", "gain", "response", "weights"]
+TURNS: tuple[Turn, ...] = ("offset", "gain", "response", "weights")
 """What is learned in a phase, in this order and over again."""
 
 
@@ -95,7 +95,7 @@ class Branch:
         began: what was left of its way [alpha] when a tree that asks chose it; None: it waits.
         allowance: training episodes of its path from which on it is compared with others.
         strayed: whether it left from another robot than its tree's.
-        turn: what is learned in this phase: "offset" or "response" (by the search), or "weights" (by NPG).
+        turn: what is learned in this phase: "offset", "gain" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen, of the policy or of what was drawn around it.
         width: share of the declared deviation with which the search begins its next turn.

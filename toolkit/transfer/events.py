@@ -97,7 +97,7 @@ class SearchUpdated(Updated):
     """By the search.
 
     Attributes:
-        turn: what is searched for, "offset" or "response".
+        turn: what is searched for, "offset", "gain" or "response".
         learned: whether there was a success to learn from.
         width: mean deviation of the search, in declared ones.
     """

@@ -1,7 +1,7 @@
 """The two ways in which a branch's policy gets better: its weights by NPG, a few of its parameters by a search.
 
     WeightLearner   the paper's: noise on the actions, robots from a window, natural policy gradient on all weights
-    SearchLearner   a few offsets of what it sees, or responses to what it meets, held for an episode, on the next robot itself
+    SearchLearner   a few offsets or gains of what it sees, or responses to what it meets, held for an episode, on the next robot itself
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal
 from toolkit.learning.episode import Episode
-from toolkit.learning.exploration import Directions, Explored, Trials, leading_features, mirrored, natural_step
+from toolkit.learning.exploration import Directions, Explored, Gains, Trials, leading_features, mirrored, natural_step
 from toolkit.learning.npg import Demonstrations, npg_step
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.seeds import SHOWING_SEEDS
@@ -105,7 +105,7 @@ class WeightLearner:
 
 
 class SearchLearner:
-    """Search of an offset of what the policy sees and, in its second turn, of how it responds to what it meets.
+    """Search of an offset of what the policy sees and, in turns of their own, of gains and of how it responds to what it meets.
 
     Args:
         config: see TransferConfig.
@@ -118,10 +118,13 @@ class SearchLearner:
 
     def __init__(self, config: TransferConfig, sampler: Sampler, explored: Explored) -> None:
         self.config, self.sampler, self.explored = config, sampler, explored
-        self.turns = TURNS if (explored.action > 0).any() else tuple(turn for turn in TURNS if turn != "response")
+        asked = {"offset": True, "gain": bool(explored.gains), "response": bool((explored.action > 0).any()), "weights": True}
+        self.turns = tuple(turn for turn in TURNS if asked[turn])
 
-    def directions(self, branch: Branch) -> Directions:
+    def directions(self, branch: Branch) -> Directions | Gains:
         """Those of the branch's turn."""
+        if branch.turn == "gain":
+            return Gains(self.explored.gains)
         none = np.zeros((0, branch.policy.hidden[-1] + 1))
         return Directions(self.explored, none if branch.features is None else branch.features)
 

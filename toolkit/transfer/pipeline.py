@@ -5,10 +5,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from tasks.record import Record
 from tasks.task import Task
 from toolkit.capability.audit import SIDES, Audit, Way, run_audit, verdict, ways_of
 from toolkit.errors import ToolkitError
@@ -20,7 +21,7 @@ from toolkit.expert.shelf import POLICY_FILE, load_expert
 from toolkit.io.jsonfiles import read_object
 from toolkit.io.quoting import markdown
 from toolkit.learning.episode import Episode
-from toolkit.learning.exploration import Explored
+from toolkit.learning.exploration import Explored, Gain
 from toolkit.learning.npg import NpgConfig
 from toolkit.learning.policy import GaussianPolicy, ValueFunction
 from toolkit.morphology.build import MergedRobot
@@ -217,7 +218,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 Explored(job.task.observation.numbers("explored"), job.task.action.numbers("explored")), self._bends())
+                                 explored(job.task, gains=bool(job.randomise)), self._bends())
         if resume:
             try:
                 self.transfer.restore()
@@ -395,6 +396,18 @@ class Pipeline:
             "source": self.job.source.name,
             "task": self.job.task.name,
         }
+
+
+def explored(task: Task, gains: bool) -> Explored:
+    """What a task declares for the search.
+
+    Args:
+        task: whose records.
+        gains: also those of its entries. They are for conditions of a laboratory: what is seen late, or with noise, asks for another pace.
+    """
+    records: tuple[tuple[Literal["observation", "action"], Record], ...] = (("observation", task.observation), ("action", task.action))
+    found = [Gain(kind, record.slice(name), entry.gain) for kind, record in records for name, entry in record.entries.items() if entry.gain]
+    return Explored(task.observation.numbers("explored"), task.action.numbers("explored"), tuple(found) if gains else ())
 
 
 def outside_playing(spent: dict[str, float]) -> float:

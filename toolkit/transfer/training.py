@@ -1,7 +1,7 @@
 """One phase of training: measure, learn, and say when the policy holds, when its budget is spent, when another robot should be tried.
 
     Training.train_to   one update towards a success on one robot, by whichever learner has its turn
-    Training.keep_best  the search's turns: offsets, responses, the weights, and back to the best policy after each
+    Training.keep_best  the search's turns: offsets, gains, responses, the weights, and back to the best policy after each
     Training.measure_anew  what was chosen by its success on starts by which it was not chosen
     Training.leave      a target where all turns are over, or not yet
 """
@@ -85,8 +85,8 @@ class Training:
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Of the search: remember the policy if it is the phase's best; return to it and end a turn that brought no better one for long.
 
-        Offsets come first, then responses and the weights, if the best succeeds often enough to learn from. On the way another robot is
-        tried after that; a target is measured anew.
+        Offsets come first, then gains, responses and the weights, if the best succeeds often enough to learn from. On the way another
+        robot is tried after that; a target is measured anew.
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1

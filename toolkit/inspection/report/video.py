@@ -134,7 +134,8 @@ def _scenes(player: _Player, phases: list[Phase], progress: Callable[[str], None
             goal = trajectory.goal if isinstance(trajectory, PickTrajectory) else None
             where = f"a robot on the way to {goals}" if phase.stage == "evolve" else f"the unmodified {phase.targets[0]}"
             learned = learned or kept.update > 0
-            trained = f"after {kept.update} update{'s' if kept.update > 1 else ''} there" if kept.update else "as it came there" if learned else "untrained"
+            updates = f"{kept.update} update{'s' if kept.update > 1 else ''}"
+            trained = f"after {updates} there" if kept.update else "as it came there" if learned else "untrained"
             yield motion, goal, f"{path}: {where}, {trained}\n{trajectory.verdict()}", iter([*_frames(trajectory), *[-1] * len(rest)])
     for name, both in ((report or {}).get("targets") or {}).items():
         motion = player.visual.standing(player.merged.space.beta(name)[None])
