@@ -181,6 +181,7 @@ def transfer(
     """
     from toolkit.cli.training import record_run
     from toolkit.expert.shelf import taught_by_hands
+    from toolkit.simulation.cluster import cluster_at
     from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, transfer_config
 
     config = transfer_config(preset, kind, metric, seed, **schedule)
@@ -188,7 +189,8 @@ def transfer(
     goals = tuple(_robot(name) for name in (PRESETS[preset].get("targets", TARGETS) if targets is None else targets))
     job = Job(start, goals, what, config, PRESETS[preset]["evaluation_episodes"] if episodes is None else episodes,
               expert or taught_by_hands(start.name, what.name))
-    return Pipeline(job, Path(run), resume, watch, record_run if record else None, cluster, at_once).play()
+    with cluster_at(cluster) as nodes:
+        return Pipeline(job, Path(run), resume, watch, record_run if record else None, nodes, at_once).play()
 
 
 def load_policy(run: str | Path, target: str | None = None) -> "GaussianPolicy":

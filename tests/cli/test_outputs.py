@@ -215,7 +215,7 @@ def test_a_trained_expert_is_reported_whatever_becomes_of_its_place(tmp_path, mo
     monkeypatch.setattr("toolkit.simulation.rollout.RolloutEngine", lambda merged: type("E", (), {"close": lambda self: None})())
     monkeypatch.setattr("toolkit.expert.training.train_expert", lambda *_: (policy, value, {"demonstrations_kept": 3}))
     measured = Evaluation("adroit", "native", 1, 1, 0, 0)
-    monkeypatch.setattr("toolkit.evaluation.success.evaluate_compiled", lambda p, robot, task, episodes: measured)
+    monkeypatch.setattr("toolkit.evaluation.success.evaluate_compiled", lambda p, robot, task, episodes, cluster: measured)
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stop:
         main(["expert", "--run", "r", "--out", "file/below", "--episodes", "1", "--compiled", "--json"])

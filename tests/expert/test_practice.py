@@ -33,7 +33,7 @@ def numbers(policy, value):
 def whole(tmp_path_factory):
     """Events and networks of a short run that nobody disturbs."""
     events, run = [], Run.create(tmp_path_factory.mktemp("practice") / "run", {})
-    policy, value, card = practise(ANT, TASK, SHORT, events.append, run, threads=2)
+    policy, value, card = practise(NativeEngine(ANT, TASK, threads=2), TASK, SHORT, events.append, run)
     return events, numbers(policy, value), card, run.read_metrics()
 
 
@@ -58,17 +58,17 @@ def test_a_killed_run_goes_on_to_the_same_policy(whole, tmp_path, survived):
             raise Killed
 
     with pytest.raises(Killed):
-        practise(ANT, TASK, SHORT, kill, run, threads=1)
+        practise(NativeEngine(ANT, TASK, threads=1), TASK, SHORT, kill, run)
     run.end()
     run = Run.open(tmp_path / "run", {})
-    policy, value, again = practise(ANT, TASK, SHORT, run=run, threads=1)
+    policy, value, again = practise(NativeEngine(ANT, TASK, threads=1), TASK, SHORT, run=run)
     np.testing.assert_array_equal(numbers(policy, value), networks)
     timeless = lambda records: [{key: x for key, x in record.items() if key != "seconds"} for record in records]  # noqa: E731
     assert again == card and timeless(run.read_metrics()) == timeless(kept)
 
 
 def test_progress_is_the_reward_and_a_fall_costs():
-    learning = _Learning(ANT, TASK, SHORT, lambda record: None, None, 1)
+    learning = _Learning(NativeEngine(ANT, TASK, threads=1), TASK, SHORT, lambda record: None, None)
     task, engine = learning.stages[1]
     (episode,) = engine.play(lambda seen, rng: np.zeros(8), [np.zeros(1)], [3])
     gained = task.gains(np.vstack([episode.observations, episode.last_observation])).sum()
@@ -93,11 +93,11 @@ def test_the_best_that_was_measured_is_kept_and_ends_the_run_where_it_masters_th
         return success
 
     monkeypatch.setattr(_Learning, "check", measured)
-    policy, _, card = practise(ANT, TASK, replace(SHORT, practice=0))
+    policy, _, card = practise(NativeEngine(ANT, TASK), TASK, replace(SHORT, practice=0))
     np.testing.assert_array_equal(policy.parameters, learners[1])
     assert card["updates"] == 3 and not np.array_equal(learners[1], learners[2])
     found = iter([0.25, 0.99, 1.0])
-    policy, _, card = practise(ANT, TASK, replace(SHORT, practice=0))
+    policy, _, card = practise(NativeEngine(ANT, TASK), TASK, replace(SHORT, practice=0))
     assert card["updates"] == 2
 
 

@@ -75,7 +75,7 @@ class Toy:
 
     def __init__(self, kill_after=None, succeeds=True, shift=0.0):
         self.kill_after, self.succeeds, self.shift = kill_after, succeeds, shift
-        self.calls, self.episodes, self.transfer = [], 0, None
+        self.calls, self.episodes, self.transfer, self.stopped = [], 0, None, False
 
     def play(self, actor, alphas, seeds):
         if self.kill_after is not None and len(self.calls) >= self.kill_after:
@@ -91,6 +91,9 @@ class Toy:
         self.calls.append(state)
         self.episodes += len(seeds)
         return [self.one(*job) for job in zip(actors, alphas, seeds, strict=True)]
+
+    def stop(self):
+        self.stopped = True
 
     def one(self, actor, alpha, seed):
         action = actor(OBSERVATION, np.random.default_rng((seed, 1)))
@@ -833,6 +836,7 @@ class Plain(Toy):
     def play(self, actor, alphas, seeds):
         with self.engine._lock:
             self.batches += 1
+            assert not self.stopped, "played although it was stopped"
             if self.kill_after is not None and self.batches > self.kill_after:
                 raise Killed
             self.engine._now += 1

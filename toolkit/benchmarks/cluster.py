@@ -2,17 +2,20 @@
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from toolkit.benchmarks.paper import PAPER, SEEDS
+from toolkit.benchmarks.results import finished_runs
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.lab import Lab
-from toolkit.simulation.cluster import Cluster, ClusterEngine, imported_ray
+from toolkit.simulation.cluster import Cluster, imported_ray
 from toolkit.simulation.rollout import Engine, RolloutEngine
 
 CORES = (16, 256, 4096)
@@ -60,8 +63,41 @@ def paper_tables(episode_s: float) -> list[dict[str, Any]]:
     return rows
 
 
+def run_times(folder: Path, episode_s: float) -> list[dict[str, Any]]:
+    """What finished runs would take with five seeds side by side, if an episode took a core so long [s].
+
+    As of ``paper_tables``, but for what is known of a run of ours: its batches (updates, checks, looks) come one after the other along the
+    longest way from the source to a target, a tree that asks plays all of them in turn, and what it did beside playing it does again.
+
+    Args:
+        folder: of a suite's runs.
+        episode_s: time of an episode [s].
+
+    Returns:
+        a row per method, targets and task that was played with three seeds at least, by its slowest seed: ``hours`` for each of ``CORES``.
+    """
+    groups: dict[tuple[str, ...], list[list[float]]] = {}
+    for result in finished_runs(folder):
+        report = result.report
+        if "time" not in report:
+            continue
+        batches = Counter(record["path"] for record in result.metrics if record["event"] in ("update", "check", "look"))
+        ways = [sum(count for other, count in batches.items() if path == other or path.startswith(f"{other}.")) for path in batches]
+        chain = batches.total() if report["kind"] == "asking" else max(ways, default=0)
+        evaluated = [one["episodes"] for both in report["targets"].values() for one in both.values()]
+        evaluated += [one["episodes"] for one in report.get("untrained", {}).values()]
+        episodes = report["totals"]["sim_epochs"] + report["totals"]["check_episodes"] + sum(evaluated)
+        beside = report["time"]["wall_s"] * report["time"]["outside_playing"]
+        hours = [(episode_s * max(chain, episodes / (cores / SEEDS)) + beside) / 3600 for cores in CORES]
+        groups.setdefault((result.method, ", ".join(sorted(report["targets"])), result.task), []).append(hours)
+    return [{"method": method, "targets": targets, "task": task, "seeds": len(found),
+             "hours": [max(hours) for hours in zip(*found, strict=True)]}
+            for (method, targets, task), found in groups.items() if len(found) >= 3]
+
+
 def measure_cluster(
     lab: Lab, address: str, policy: GaussianPolicy, actors: Sequence[int], episodes: int, rounds: int, paths: int, batch: int,
+    runs: Path,
     progress: Callable[[str, str], None] = lambda title, detail: None,
 ) -> dict[str, Any]:
     """What ``meta-evolve bench cluster --json`` prints.
@@ -74,6 +110,7 @@ def measure_cluster(
         episodes: of a batch.
         rounds: of each racer, in turns; the fastest counts.
         paths, batch: of a transfer for which ``projected`` is worked out: paths side by side, and episodes of an update.
+        runs: folder of finished runs, for ``run_times``.
         progress: called with what is being measured.
     """
     space, rng = lab.space, np.random.default_rng(0)
@@ -83,10 +120,11 @@ def measure_cluster(
     for count in actors:
         progress("cluster", f"{count} actors")
         began = time.perf_counter()
-        cluster = Cluster(lab, address, count)
+        cluster = Cluster(address, count)
+        there = cluster.merged(lab)
         cluster.wait()
         start_s = time.perf_counter() - began
-        there, here = ClusterEngine(cluster), RolloutEngine(lab.merged, cluster.asked)
+        here = RolloutEngine(lab.merged, cluster.asked)
         try:
             times: dict[Engine, float] = {there: np.inf, here: np.inf}
             same = True
@@ -112,4 +150,5 @@ def measure_cluster(
     busy = {cores: min(cores, paths * batch) for cores in CORES}
     projected = [{"cores": cores, "busy": count, "episodes_per_s": count / seconds} for cores, count in busy.items()]
     return {"rows": rows, "bytes_sent": sent, "bytes_returned": returned, "episode_s": seconds, "paths": paths, "batch": batch,
-            "projected": projected, "paper": paper_tables(seconds), "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg()[0]}
+            "projected": projected, "paper": paper_tables(seconds), "runs": run_times(runs, seconds),
+            "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg()[0]}

@@ -1,6 +1,7 @@
 """bench: the commands that measure the toolkit itself."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,7 @@ from toolkit.io.quoting import told
 if TYPE_CHECKING:
     from toolkit.deploy.arm import ArmInfo
     from toolkit.deploy.faults import Begun, Trial
+    from toolkit.simulation.cluster import Cluster
     from toolkit.transfer.pipeline import Job
 
 bench = tyro.extras.SubcommandApp()
@@ -33,6 +35,7 @@ def bench_transfer(
     out: Path | None = None,
     play: bool = True,
     cluster: str | None = None,
+    at_once: int = 4,
     json: bool = False,
 ) -> None:
     """Play every run of a suite that is not finished yet, then rebuild the page of results from the run folders.
@@ -46,7 +49,8 @@ def bench_transfer(
         preset: of every run, as in transfer.
         out: folder of the run folders; the page is <out>.md; default: the suite's own in docs/.
         play: --no-play only rebuilds the page.
-        cluster: Ray cluster that plays the episodes, as in transfer; the paths of a tree are then played side by side.
+        cluster: Ray cluster that plays the episodes, as in transfer; runs, and the paths of their trees, are then played side by side.
+        at_once: runs that are played side by side on a cluster, with the same numbers; each takes some memory on this machine.
         json: print one JSON object of all finished runs: rows (cost and success per method, task and targets, over seeds) and ratios (each
             tree beside the independent paths to its targets).
     """
@@ -56,9 +60,11 @@ def bench_transfer(
     unknown = [name for name in only if name not in entries]
     if unknown:
         raise ToolkitError(f"suite {suite!r} has no run {unknown[0]!r}; it has: {', '.join(entries)}")
+    if at_once < 1:
+        raise ToolkitError(f"at_once is {at_once}; give at least 1")
     failed, out = {}, out or usual
     if play:
-        failed = _play_suite({name: entries[name].job(preset) for name in only or entries}, out, cluster, quiet=json)
+        failed = _play_suite({name: entries[name].job(preset) for name in only or entries}, out, cluster, at_once, quiet=json)
     from toolkit.benchmarks.paper import PAPER
     from toolkit.benchmarks.results import finished_runs, results_json, write_results
 
@@ -72,26 +78,42 @@ def bench_transfer(
         raise ToolkitError("; ".join(trouble))
 
 
-def _play_suite(jobs: "dict[str, Job]", out: Path, cluster: str | None, quiet: bool) -> dict[str, str]:
+def _play_suite(jobs: "dict[str, Job]", out: Path, cluster: str | None, at_once: int, quiet: bool) -> dict[str, str]:
     """Play what is not finished; returns why of each run that fails, which is no reason not to play the others."""
-    from toolkit.cli.training import record_run
     from toolkit.expert.shelf import load_expert
-    from toolkit.transfer.pipeline import Pipeline
+    from toolkit.simulation.cluster import cluster_at
 
     for job in jobs.values():  # say what is missing before hours are spent
         load_expert(job.source.name, job.task, job.expert)
-    failed = {}
-    for name, job in jobs.items():
-        folder = out / name
-        if (folder / "report.json").is_file():
-            continue
-        with Progress(name, quiet) as progress:
-            try:
-                resume, paths = (folder / "config.json").is_file(), 1 if cluster is None else len(job.targets)
-                Pipeline(job, folder, resume, progress.transfer(job.transfer), record_run, cluster, paths).play()
-            except ToolkitError as error:
-                failed[name] = str(error)
-    return failed
+    left = {name: job for name, job in jobs.items() if not (out / name / "report.json").is_file()}
+    if cluster is None or not left:
+        found = {name: _play_run(job, out / name, None, quiet) for name, job in left.items()}
+        return {name: why for name, why in found.items() if why is not None}
+    with cluster_at(cluster) as nodes, ThreadPoolExecutor(at_once) as pool:
+        running = {name: pool.submit(_play_run, job, out / name, nodes, quiet) for name, job in left.items()}
+        try:
+            found = {name: future.result() for name, future in running.items()}
+        except BaseException:
+            for future in running.values():
+                future.cancel()
+            if nodes is not None:
+                nodes.close()  # the others stop where they are
+            raise
+    return {name: why for name, why in found.items() if why is not None}
+
+
+def _play_run(job: "Job", folder: Path, cluster: "Cluster | None", quiet: bool) -> str | None:
+    """Play a run, or go on with it; returns why it fails, None if it does not."""
+    from toolkit.cli.training import record_run
+    from toolkit.transfer.pipeline import Pipeline
+
+    with Progress(folder.name, quiet, alone=cluster is None) as progress:
+        try:
+            resume, paths = (folder / "config.json").is_file(), 1 if cluster is None else len(job.targets)
+            Pipeline(job, folder, resume, progress.transfer(job.transfer), record_run, cluster, paths).play()
+        except ToolkitError as error:
+            return str(error)
+    return None
 
 
 @bench.command(name="engine")
@@ -184,6 +206,7 @@ def bench_cluster(
     rounds: int = 3,
     paths: int = 3,
     batch: int = 24,
+    runs: Path = SUITES["real-robots"].folder,
     json: bool = False,
 ) -> None:
     """Measure episodes on a Ray cluster against this machine's own engine: rate, bits, bytes, time to start.
@@ -198,6 +221,7 @@ def bench_cluster(
         rounds: of each racer, in turns; the fastest counts.
         paths: of a transfer that are played side by side, for the rates that are worked out for larger clusters.
         batch: its episodes per update, for the same.
+        runs: folder of finished runs, of which those with several seeds are worked out for larger clusters as well.
         json: print one JSON object.
     """
     cores = len(os.sched_getaffinity(0))
@@ -212,7 +236,7 @@ def bench_cluster(
     with Progress("cluster", quiet=json) as progress, ExitStack() as stack:
         shares = (max(actors) - max(actors) // 2, max(actors) // 2)
         address = cluster or local_nodes(stack, [share for share in shares if share])
-        found = measure_cluster(lab, address, policy, actors, episodes, rounds, paths, batch, progress.show)
+        found = measure_cluster(lab, address, policy, actors, episodes, rounds, paths, batch, runs, progress.show)
     if json:
         emit(found, True, "")
         return
@@ -225,6 +249,10 @@ def bench_cluster(
     table("The paper's tables, five seeds side by side: hours of playing, were their episodes as long",
           ["task", "method", *(f"{row['cores']} cores" for row in found["projected"]), "updates are the limit from"],
           [[row["task"], row["method"], *(f"{hours:.2f}" for hours in row["hours"]), f"{row['cores']} cores"] for row in found["paper"]])
+    if found["runs"]:
+        table(f"The runs in {runs}, five seeds side by side: hours, the slowest seed's, with what is done beside playing",
+              ["task", "method", "targets", *(f"{row['cores']} cores" for row in found["projected"])],
+              [[row["task"], row["method"], row["targets"], *(f"{hours:.2f}" for hours in row["hours"])] for row in found["runs"]])
     print(f"An episode takes a core {found['episode_s']:.2f} s; {found['bytes_sent'] / 1024:.0f} KiB go out with it and "
           f"{found['bytes_returned'] / 1024:.0f} KiB come back. {found['cores']} cores, load {found['load']:.1f}.")
 

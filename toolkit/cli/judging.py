@@ -1,6 +1,5 @@
 """evaluate, verify: success of a trained or exported policy."""
 
-from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,7 +45,7 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise ToolkitError(f"episodes is {episodes} and seed {seed}; give at least one episode and a seed from 0 on")
     from toolkit.evaluation.success import evaluate_merged, evaluate_native
-    from toolkit.simulation.cluster import Cluster, ClusterEngine
+    from toolkit.simulation.cluster import cluster_at
     from toolkit.simulation.rollout import RolloutEngine
 
     if is_bundle(run):
@@ -59,11 +58,10 @@ def evaluate(
         return
     content, policies, trouble = expert_policy(run, target) or trained_policies(Path(run), target)
     what = find_task(task or content["task"])
-    lab = None if native and cluster is None else make_lab(content["source"], content["targets"], what.name)
+    lab = None if native else make_lab(content["source"], content["targets"], what.name)
     results = []
-    with Progress("evaluate", quiet=json) as progress, ExitStack() as stack:
-        nodes = None if cluster is None or lab is None else stack.enter_context(closing(Cluster(lab, cluster)))
-        engine = None if native or lab is None else RolloutEngine(lab.merged) if nodes is None else ClusterEngine(nodes)
+    with Progress("evaluate", quiet=json) as progress, cluster_at(cluster) as nodes:
+        engine = None if lab is None else RolloutEngine(lab.merged) if nodes is None else nodes.merged(lab)
         for name, policy in policies.items():
             if engine is None:
                 counter = progress.count(f"{name}, unmodified", episodes)

@@ -141,15 +141,22 @@ def short(value: Any) -> str:
 
 
 class Progress:
-    """A live line on the terminal with rate and time left; a plain line now and then where there is no terminal."""
+    """A live line on the terminal with rate and time left; a plain line now and then where there is no terminal.
 
-    def __init__(self, title: str, quiet: bool) -> None:
+    Args:
+        title: what goes on.
+        quiet: say nothing but what went wrong.
+        alone: False: others tell of their progress at the same time, in plain lines that begin with their titles.
+    """
+
+    def __init__(self, title: str, quiet: bool, alone: bool = True) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.table import Column
 
         self.console = Console(stderr=True)
-        self.live = self.console.is_terminal and not quiet
+        self.live = alone and self.console.is_terminal and not quiet
+        self._prefix = "" if alone else f"{title}: "
         self.quiet = quiet
         self._last = 0.0
         text = lambda what: TextColumn(what, markup=False, table_column=Column(overflow="fold"))  # noqa: E731 - wraps, is never cut
@@ -169,7 +176,7 @@ class Progress:
         """Update the line; without a terminal print at most every ten seconds, or ``now``."""
         import time
 
-        title, detail = plain(title), plain(detail)
+        title, detail = plain(self._prefix + title), plain(detail)
         self.bar.update(self._task, description=title, detail=detail, completed=done or 0, total=total)
         if not self.live and not self.quiet and (now or time.monotonic() - self._last > 10.0):
             self._last = time.monotonic()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from toolkit.inspection.recording.recorder import RunRecorder
     from toolkit.learning.policy import GaussianPolicy, ValueFunction
     from toolkit.runs.run import Run
+    from toolkit.simulation.cluster import Cluster
 
 
 def expert(
@@ -34,6 +35,7 @@ def expert(
     compiled: bool = False,
     run: Path | None = None,
     resume: bool = False,
+    cluster: str | None = None,
     json: bool = False,
 ) -> None:
     """Train the source expert: demonstrations, behaviour cloning, natural policy gradient under the sparse reward.
@@ -57,6 +59,7 @@ def expert(
         compiled: evaluate with the compiled control step in place of robosuite's own: the same physics, many times faster.
         run: run folder; default: logs/expert-<source>-<task>-<seed>.
         resume: continue the run in that folder.
+        cluster: Ray cluster that plays the episodes, with the same numbers, as in transfer; recordings are retargeted here.
         json: print one JSON object at the end.
     """
     if episodes < 1 or demonstrations < 1 or (updates is not None and updates < 0) or seed < 0:
@@ -71,6 +74,7 @@ def expert(
     from toolkit.expert.training import ExpertConfig
     from toolkit.morphology.lab import check_players
     from toolkit.runs.run import Run
+    from toolkit.simulation.cluster import cluster_at
 
     check_players([robot], what)
     practised = isinstance(what, PractisedTask)
@@ -80,15 +84,15 @@ def expert(
     asked = {"source": source, "task": task, "demos": None if demos is None else str(demos), "frame_rate": frame_rate, "seed": seed,
              "updates": updates, "demonstrations": demonstrations}
     folder = run or Path("logs") / f"expert-{source}-{task}-{seed}"
-    with Progress("expert", quiet=json) as progress:
+    with Progress("expert", quiet=json) as progress, cluster_at(cluster) as nodes:
         given = None if demos is None else (demos, frame_rate, resume)
         # Before there is a run folder: none for demonstrations that are not there.
         if isinstance(what, PractisedTask) and isinstance(robot, ModelRobot):
-            train = _practice_teaches(robot, what, given, config, progress)
+            train = _practice_teaches(robot, what, given, config, progress, nodes)
         elif isinstance(what, ModelTask) and isinstance(robot, ModelRobot):
-            train = _steps_teach(robot, what, given, config, progress)
+            train = _steps_teach(robot, what, given, config, progress, nodes)
         else:
-            train = _hands_teach(find_arm(source), find_pick(task), given, config, progress)
+            train = _hands_teach(find_arm(source), find_pick(task), given, config, progress, nodes)
         kept = Run.open(folder, asked) if resume else Run.create(folder, asked)
         with kept.at_work():
             policy, value, card = train(kept)
@@ -96,8 +100,8 @@ def expert(
             evaluated = {"evaluation": what} | ({"narrow": narrow_task(what)} if narrow_task(what) != what else {})
             counter = lambda name: progress.count(f"{source}, unmodified, {name}", episodes)  # noqa: E731
             results = {
-                key: evaluate_compiled(policy, robot, t, episodes) if compiled
-                else evaluate_native(policy, robot, t, episodes, progress=counter(t.name))
+                key: evaluate_compiled(policy, robot, t, episodes, cluster=nodes) if compiled
+                else evaluate_native(policy, robot, t, episodes, progress=counter(t.name), cluster=nodes)
                 for key, t in evaluated.items()
             }
     shown: list[str | Path | int] = [] if demos is None else ["--demos", demos]
@@ -127,7 +131,9 @@ Shown = tuple[Path, float, bool]
 """Where demonstrations lie, their frame rate [Hz], and whether a run that has looked at them is resumed."""
 
 
-def _hands_teach(robot: "Robot", task: "PickTask", shown: Shown | None, config: "ExpertConfig", progress: Progress) -> Training:
+def _hands_teach(
+    robot: "Robot", task: "PickTask", shown: Shown | None, config: "ExpertConfig", progress: Progress, cluster: "Cluster | None"
+) -> Training:
     """A pick's expert: taught by a script, or by recordings of hands."""
     from toolkit.demonstrations.replay import Retargeter, teachers_for
     from toolkit.expert.training import train_expert
@@ -139,7 +145,8 @@ def _hands_teach(robot: "Robot", task: "PickTask", shown: Shown | None, config: 
     def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
         watch = progress.recordings(task.object.name)
         teachers = None if shown is None else lambda: teachers_for(shown[0], robot, task, shown[1], watch)
-        engine = RolloutEngine(make_lab(robot.name, [name for name in TARGETS if name != robot.name], task.name).merged)
+        lab = make_lab(robot.name, [name for name in TARGETS if name != robot.name], task.name)
+        engine = RolloutEngine(lab.merged) if cluster is None else cluster.merged(lab)
         found = train_expert(engine, robot.name, config, progress.expert(config), teachers, run)
         engine.close()
         return found
@@ -147,7 +154,9 @@ def _hands_teach(robot: "Robot", task: "PickTask", shown: Shown | None, config: 
     return train
 
 
-def _steps_teach(robot: "ModelRobot", task: "ModelTask", shown: Shown | None, config: "ExpertConfig", progress: Progress) -> Training:
+def _steps_teach(
+    robot: "ModelRobot", task: "ModelTask", shown: Shown | None, config: "ExpertConfig", progress: Progress, cluster: "Cluster | None"
+) -> Training:
     """The expert of a task on one model: taught by recorded steps, on the unmodified robot."""
     from toolkit.demonstrations.hand_dapg import read_demonstrations
     from toolkit.expert.training import imitate
@@ -159,7 +168,7 @@ def _steps_teach(robot: "ModelRobot", task: "ModelTask", shown: Shown | None, co
     recorded = read_demonstrations(shown[0], task)
 
     def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
-        engine = NativeEngine(robot, task)
+        engine = NativeEngine(robot, task) if cluster is None else cluster.native(robot, task)
         found = imitate(engine, config, recorded, progress.expert(config), run)
         engine.close()
         return found
@@ -168,15 +177,23 @@ def _steps_teach(robot: "ModelRobot", task: "ModelTask", shown: Shown | None, co
 
 
 def _practice_teaches(
-    robot: "ModelRobot", task: "PractisedTask", shown: Shown | None, config: "ExpertConfig", progress: Progress
+    robot: "ModelRobot", task: "PractisedTask", shown: Shown | None, config: "ExpertConfig", progress: Progress, cluster: "Cluster | None"
 ) -> Training:
     """The expert of a task that has an easier one: it learns from nothing, on the unmodified robot."""
     from toolkit.expert.practice import PracticeConfig, practise
+    from toolkit.simulation.rollout import NativeEngine
 
     if shown is not None:
         raise ToolkitError(f"the expert of task {task.name} learns from nothing; leave out --demos {shown[0]}")
     how = PracticeConfig(updates=config.updates, seed=config.seed)
-    return lambda run: practise(robot, task, how, progress.expert(how), run)
+
+    def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
+        engine = NativeEngine(robot, task) if cluster is None else cluster.native(robot, task)
+        found = practise(engine, task, how, progress.expert(how), run)
+        engine.close()
+        return found
+
+    return train
 
 
 def _said(command: Callable[..., None], values: dict[str, Any], leave_out: Sequence[str]) -> list[str]:
@@ -264,6 +281,7 @@ def transfer(
     goals = None if targets is None else tuple(find_robot(name) for name in targets)
     from tasks.task import ModelTask
     from toolkit.expert.shelf import taught_by_hands
+    from toolkit.simulation.cluster import cluster_at
     from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
     config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
@@ -285,9 +303,9 @@ def transfer(
         ranges = read_ranges(randomise)
     job = Job(robot, goals, what, config, episodes or PRESETS[preset]["evaluation_episodes"], expert or taught_by_hands(source, task),
               ranges)
-    with Progress("transfer", quiet=json) as progress:
+    with Progress("transfer", quiet=json) as progress, cluster_at(cluster) as nodes:
         paths = at_once or (1 if cluster is None else len(goals))
-        pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run, cluster, paths)
+        pipeline = Pipeline(job, folder, resume, progress.transfer(config), record_run, nodes, paths)
         pipeline.run.write_json("command", {"words": ["transfer", *said]})
         report = pipeline.play()
     if json:

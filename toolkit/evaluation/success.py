@@ -76,7 +76,7 @@ def evaluate_compiled(
 ) -> Evaluation:
     """As ``evaluate_native``, on the same seeds, with the compiled control step in place of robosuite's: some ten times faster."""
     seeds = [EVALUATION_SEEDS + seed * 10**6 + i for i in range(episodes)]
-    engine = NativeEngine(robot, task) if cluster is None else ClusterEngine(cluster, robot)
+    engine = NativeEngine(robot, task) if cluster is None else cluster.native(robot, task)
     played = engine.play(MeanActor(policy), [np.zeros(1)] * episodes, seeds)
     engine.close()
     successes, diverged = (sum(getattr(e, key) for e in played) for key in ("success", "diverged"))
@@ -146,7 +146,7 @@ def evaluate_native(
     if cluster is None or isinstance(policy, Path):
         outcomes = _outcomes(robot, task, policy, seeds, workers)
     else:
-        outcomes = cluster.judged(robot, policy.mean, seeds)
+        outcomes = cluster.judged(robot, task, policy.mean, seeds)
     for done, (success, blew_up) in enumerate(outcomes, start=1):
         successes, diverged = successes + success, diverged + blew_up
         progress(done, successes)

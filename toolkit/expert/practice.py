@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from robots.model_robot import ModelRobot
 from tasks.task import PractisedTask
 from toolkit.errors import ToolkitError
 from toolkit.learning.episode import Episode
@@ -19,7 +18,7 @@ from toolkit.learning.policy import GaussianPolicy, MeanActor, ValueFunction, le
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
 from toolkit.runs.seeds import CHECKING_SEEDS, EXPERT_SEEDS, VISIT_SEEDS
-from toolkit.simulation.rollout import NativeEngine
+from toolkit.simulation.rollout import Engine
 
 
 @dataclass(frozen=True)
@@ -58,27 +57,25 @@ class PracticeConfig:
 
 
 def practise(
-    robot: ModelRobot,
+    engine: Engine,
     task: PractisedTask,
     config: PracticeConfig,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
     run: Run | None = None,
-    threads: int | None = None,
 ) -> tuple[GaussianPolicy, ValueFunction, dict[str, Any]]:
     """Learn a task from nothing, on the unmodified robot.
 
     Args:
-        robot: the source.
+        engine: plays the task on the unmodified source.
         task: what it shall do.
         config: how.
         report: called with every event.
         run: keeps events and, after every update, everything that is needed to go on; a run that has a checkpoint is continued.
-        threads: that play; default: the machine's cores.
 
     Returns:
         policy, value function, and statistics.
     """
-    learning = _Learning(robot, task, config, report, run, threads)
+    learning = _Learning(engine, task, config, report, run)
     learning.restore()
     while learning.updates < config.practice + config.updates and learning.success < config.mastered:
         learning.update()
@@ -97,11 +94,10 @@ class _Learning:
     """
 
     def __init__(
-        self, robot: ModelRobot, task: PractisedTask, config: PracticeConfig, report: Callable[[dict[str, Any]], None], run: Run | None,
-        threads: int | None,
+        self, engine: Engine, task: PractisedTask, config: PracticeConfig, report: Callable[[dict[str, Any]], None], run: Run | None,
     ) -> None:
         self.config, self._report_to, self.run = config, report, run
-        self.stages = [(stage, NativeEngine(robot, stage, threads)) for stage in (task.practice(), task.scattered(), task)]
+        self.stages = [*((stage, engine.at(stage)) for stage in (task.practice(), task.scattered())), (task, engine)]
         self.rng = np.random.default_rng((config.seed, 7))
         observation, action = task.observation, task.action
         self.policy = GaussianPolicy(observation.names, action.names, self.rng, init_log_std=config.init_log_std)
@@ -111,8 +107,8 @@ class _Learning:
         self.updates = self.steps = self._records = 0
 
     def close(self) -> None:
-        """Stop the engines' workers."""
-        for _, engine in self.stages:
+        """Stop the workers of the engines that were made here."""
+        for _, engine in self.stages[:-1]:
             engine.close()
 
     def play(self, stage: int, first: int, count: int) -> list[Episode]:

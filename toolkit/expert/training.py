@@ -19,7 +19,8 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.runs.generators import generator_from_state, generator_state
 from toolkit.runs.run import Run
 from toolkit.runs.seeds import DEMONSTRATION_SEEDS, EXPERT_SEEDS, VISIT_SEEDS
-from toolkit.simulation.rollout import NativeEngine, RolloutEngine
+from toolkit.simulation.cluster import ClusterEngine
+from toolkit.simulation.rollout import Engine, RolloutEngine
 
 Script = PickScript | TrackScript
 OBSERVATION_NOISE = OBSERVATION.numbers("noise")
@@ -106,7 +107,7 @@ class _Dataset:
 
 
 def _best_teacher(
-    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, teachers: Mapping[str, Script], report: Callable[[dict[str, Any]], None]
+    engine: Engine, beta: np.ndarray, config: ExpertConfig, teachers: Mapping[str, Script], report: Callable[[dict[str, Any]], None]
 ) -> str:
     """Name of the teacher that succeeds most often under noise, the quickest of equals; all play the same seeds.
 
@@ -124,7 +125,7 @@ def _best_teacher(
 
 
 def _demonstrate(
-    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, rng: np.random.Generator
+    engine: Engine, beta: np.ndarray, config: ExpertConfig, script: Script, rng: np.random.Generator
 ) -> tuple[_Dataset | None, int]:
     """Play a teacher, keep what succeeds, label it; None if nothing does. Also how many episodes succeeded."""
     seeds = range(DEMONSTRATION_SEEDS, DEMONSTRATION_SEEDS + config.demonstrations)
@@ -137,7 +138,7 @@ def _demonstrate(
 
 
 def _visit(
-    engine: RolloutEngine, beta: np.ndarray, config: ExpertConfig, script: Script, policy: GaussianPolicy, dataset: _Dataset,
+    engine: Engine, beta: np.ndarray, config: ExpertConfig, script: Script, policy: GaussianPolicy, dataset: _Dataset,
     round_: int, rng: np.random.Generator,
 ) -> tuple[_Dataset, float]:
     """Let the clone play, add what the teacher would have done where it went (Ross et al. 2011, DAgger); its success."""
@@ -151,7 +152,7 @@ def _visit(
 
 
 def train_expert(
-    engine: RolloutEngine,
+    engine: RolloutEngine | ClusterEngine,
     source: str,
     config: ExpertConfig,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
@@ -191,7 +192,7 @@ def train_expert(
 
 
 def imitate(
-    engine: NativeEngine,
+    engine: Engine,
     config: ExpertConfig,
     recorded: Recorded,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
@@ -236,7 +237,7 @@ class _Training:
     """The state of an expert's training; every change of it ends in a checkpoint."""
 
     def __init__(
-        self, engine: RolloutEngine | NativeEngine, task: Task, beta: np.ndarray, config: ExpertConfig,
+        self, engine: Engine, task: Task, beta: np.ndarray, config: ExpertConfig,
         policy: GaussianPolicy, value: ValueFunction, rng: np.random.Generator, recorded: bool,
         report: Callable[[dict[str, Any]], None], run: Run | None,
     ) -> None:
@@ -265,9 +266,7 @@ class _Training:
     def _first_dataset(self, source: str, scripts: Mapping[str, Script], counts: dict[str, int]) -> _Dataset:
         """Choose the teacher, let it demonstrate, clone it."""
         config = self.config
-        merged = arms_of(self.engine)
-        strict = replace(merged.task, goal_tolerance=config.demonstrated_tolerance)
-        engine = RolloutEngine(MergedRobot(merged.space, strict), self.engine.threads)
+        engine = self.engine.at(replace(arms_of(self.engine).task, goal_tolerance=config.demonstrated_tolerance))
         name = _best_teacher(engine, self.beta, config, scripts, self.report)
         dataset, kept = _demonstrate(engine, self.beta, config, scripts[name], self.rng)
         engine.close()
@@ -297,13 +296,10 @@ class _Training:
     def _visits(self, script: Script, dataset: _Dataset) -> None:
         """The clone plays and its teacher says what it would have done, until the clone has mastered the task."""
         config = self.config
-        engine = self.engine
-        if not isinstance(engine, RolloutEngine):
-            raise ToolkitError("a teacher goes along on merged robots alone; give a RolloutEngine")
         again = replace(config.cloning, epochs=-(-config.cloning.epochs // 2))  # the clone goes on from where it is
         while self.rounds < config.rounds:
             round_ = self.rounds + 1
-            dataset, success = _visit(engine, self.beta, config, script, self.policy, dataset, round_, self.rng)
+            dataset, success = _visit(self.engine, self.beta, config, script, self.policy, dataset, round_, self.rng)
             self.report({"event": "visits", "round": round_, "success": success, "played": config.visits})
             if success >= config.mastered:
                 break

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Event
 from typing import Any
 
 import mujoco
@@ -14,7 +15,9 @@ import numpy as np
 
 from robots.model_robot import ModelRobot
 from robots.robot import Robot
-from tasks.task import Task
+from tasks.pick import PickTask
+from tasks.task import ModelTask, Task
+from toolkit.errors import ToolkitError
 from toolkit.learning.episode import Episode
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.family import MergedModel
@@ -111,11 +114,15 @@ class Engine:
     MuJoCo's own printed warnings fall silent: a diverged simulation is counted, and the first leaves a dump.
 
     Attributes:
+        task: what is played.
         threads: workers.
         episodes_played: since the start.
         play_seconds: wall time spent playing, since the start [s].
+        stopped: set once what it plays is no longer wanted; see ``stop``.
         trouble: why the dump could not be written; empty if it could, or was not needed.
     """
+
+    task: Task
 
     def __init__(self, threads: int | None, dump: Path | None) -> None:
         silence_warnings()
@@ -124,13 +131,17 @@ class Engine:
         self._pool = ThreadPoolExecutor(self.threads)
         self._idle: SimpleQueue = SimpleQueue()
         self.episodes_played, self.play_seconds = 0, 0.0
-        self.trouble = ""
+        self.stopped, self.trouble = Event(), ""
 
     def _plant(self, borrowed: Any, alpha: np.ndarray) -> Drivable:
         raise NotImplementedError
 
     def _scene(self) -> dict[str, Any]:
         """What a dump says of the robot: ``robots``, ``native`` and ``task``."""
+        raise NotImplementedError
+
+    def at(self, task: Task) -> "Engine":
+        """An engine that plays another task on the same robots."""
         raise NotImplementedError
 
     def one(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
@@ -157,7 +168,7 @@ class Engine:
         """
         began = time.perf_counter()
         actors = actor if isinstance(actor, Sequence) else [actor] * len(seeds)
-        played = list(self._pool.map(lambda job: self.one(*job), zip(actors, alphas, seeds, strict=True)))
+        played = list(self._pool.map(lambda job: self._wanted(*job), zip(actors, alphas, seeds, strict=True)))
         self.episodes_played += len(played)
         self.play_seconds += time.perf_counter() - began
         first = next((divergence for _, divergence in played if divergence is not None), None)
@@ -169,9 +180,32 @@ class Engine:
                 self._dump = None
         return [episode for episode, _ in played]
 
+    def _wanted(self, actor: Actor, alpha: np.ndarray, seed: int) -> tuple[Episode, Divergence | None]:
+        if self.stopped.is_set():
+            raise ToolkitError(f"the episode of seed {seed} was not played: its engine was stopped; begin another engine")
+        return self.one(actor, alpha, seed)
+
+    def stop(self) -> None:
+        """Play no episode any more that has not begun; whoever waits for one gets a ToolkitError."""
+        self.stopped.set()
+
     def close(self) -> None:
-        """Stop the workers."""
+        """Stop, and wait for what is being played."""
+        self.stop()
         self._pool.shutdown()
+
+
+def at_task(merged: MergedRobot | MergedModel, task: Task) -> MergedRobot | MergedModel:
+    """The same merged robot at another task.
+
+    Raises:
+        ToolkitError: a task for other robots.
+    """
+    if isinstance(merged, MergedRobot) and isinstance(task, PickTask):
+        return MergedRobot(merged.space, task)
+    if isinstance(merged, MergedModel) and isinstance(task, ModelTask):
+        return MergedModel(merged.space, task)
+    raise ToolkitError(f"task {task.name!r} is not for the robots that {merged.task.name!r} is for; name one of the same kind")
 
 
 class RolloutEngine(Engine):
@@ -188,9 +222,13 @@ class RolloutEngine(Engine):
 
     def __init__(self, merged: MergedRobot | MergedModel, threads: int | None = None, dump: Path | None = None) -> None:
         super().__init__(threads, dump)
-        self.merged = merged
+        self.merged, self.task = merged, merged.task
         for _ in range(self.threads):
             self._idle.put(merged.new())
+
+    def at(self, task: Task) -> "RolloutEngine":
+        """See Engine."""
+        return RolloutEngine(at_task(self.merged, task), self.threads)
 
     def _plant(self, borrowed: tuple[mujoco.MjModel, mujoco.MjData], alpha: np.ndarray) -> Drivable:
         return merged_plant(self.merged, alpha, *borrowed)
@@ -215,6 +253,10 @@ class NativeEngine(Engine):
         self.robot, self.task = robot, task
         for _ in range(self.threads):
             self._idle.put(native_plant(robot, task))
+
+    def at(self, task: Task) -> "NativeEngine":
+        """See Engine."""
+        return NativeEngine(self.robot, task, self.threads)
 
     def _plant(self, borrowed: Drivable, alpha: np.ndarray) -> Drivable:
         return borrowed

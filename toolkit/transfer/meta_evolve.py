@@ -126,6 +126,8 @@ class Transfer:
                     running |= {pool.submit(follow, branch) for future in ended for branch in future.result()}
             finally:
                 stop.set()
+                if running:
+                    self.players.stop()  # what is under way is begun again by a resumed run
 
     def advance(self, branch: Branch) -> list[Branch]:
         """One turn of the loop; returns the branches that go on from here: itself, those into which it has split, or none at a target."""

@@ -29,7 +29,7 @@ from toolkit.morphology.lab import Lab, Merged, System, check_players, check_rol
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.runs.phases import PhaseRecorder
 from toolkit.runs.run import Run, read_audit
-from toolkit.simulation.cluster import Cluster, ClusterEngine
+from toolkit.simulation.cluster import Cluster
 from toolkit.simulation.laws import Drivable, native_plant
 from toolkit.simulation.plant import Plant
 from toolkit.simulation.rollout import Engine, NativeEngine, RolloutEngine
@@ -184,34 +184,31 @@ class Pipeline:
         resume: continue the run that is there.
         watch: called with every event of the transfer, for progress on a terminal.
         record: begins the run's recording; None: there is none.
-        cluster: address of the Ray cluster that plays its episodes; None: this machine does. The numbers are the same.
+        cluster: plays its episodes, with the same numbers; None: this machine does.
         at_once: paths of the tree that are played side by side. The numbers are the same.
     """
 
     def __init__(
         self, job: Job, folder: Path, resume: bool = False, watch: Callable[[dict[str, Any]], None] = lambda record: None,
-        record: Begin | None = None, cluster: str | None = None, at_once: int = 1,
+        record: Begin | None = None, cluster: Cluster | None = None, at_once: int = 1,
     ) -> None:
         policy, value = load_expert(job.source.name, job.task, job.expert)
         self.run = Run.open(folder, job.config()) if resume else Run.create(folder, job.config())
         self.job, self.watch, self._begin, self._at_once = job, watch, record, at_once
-        self.cluster: Cluster | None = None
+        self.cluster = cluster
         try:
-            self._prepare(folder, resume, policy, value, cluster)
+            self._prepare(folder, resume, policy, value)
         except Exception:
-            if self.cluster is not None:
-                self.cluster.close()
             self.run.end(failed=True)
             raise
 
-    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction, address: str | None) -> None:
+    def _prepare(self, folder: Path, resume: bool, policy: GaussianPolicy, value: ValueFunction) -> None:
         """Measure and merge the robots, and take up what an earlier sitting has left."""
         job = self.job
         self.watch({"event": "preparing", "robots": [robot.name for robot in (job.source, *job.targets)]})
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
-        self.cluster = None if address is None else Cluster(self.lab, address)
-        self.engine = RolloutEngine(self.lab.merged, dump=dump) if self.cluster is None else ClusterEngine(self.cluster, dump=dump)
+        self.engine = RolloutEngine(self.lab.merged, dump=dump) if self.cluster is None else self.cluster.merged(self.lab, dump)
         self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
         self.audit = self._audit()
@@ -248,7 +245,7 @@ class Pipeline:
             raise ToolkitError("a cluster plays no conditions of a laboratory; leave cluster or randomise out")
         if self.job.randomise:
             return RandomisedEngine(robot, self.job.task, self.job.randomise, dump=dump)
-        return NativeEngine(robot, self.job.task, dump=dump) if self.cluster is None else ClusterEngine(self.cluster, robot, dump)
+        return NativeEngine(robot, self.job.task, dump=dump) if self.cluster is None else self.cluster.native(robot, self.job.task, dump)
 
     def play(self) -> dict[str, Any]:
         """Transfer, evaluate, write everything; returns the report."""
@@ -269,8 +266,6 @@ class Pipeline:
             self.recording.summary(summary(report, self.tree))
             return report
         finally:
-            if self.cluster is not None:
-                self.cluster.close()  # first: the engine waits for answers
             self.engine.close()
             self.recording.note(self.engine.trouble)
             cost = self.recording.finish()

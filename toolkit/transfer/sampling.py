@@ -28,6 +28,8 @@ DOUBT = 3 / 4
 class Player(Protocol):
     """Plays a batch of episodes: RolloutEngine on F(alpha), NativeEngine on a robosuite robot."""
 
+    def stop(self) -> None: ...
+
     def play(self, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int]) -> list[Episode]: ...
 
 
@@ -53,6 +55,11 @@ class Players:
         if name not in self._made:
             self._made[name] = self._makers[name]()
         return self._made[name]
+
+    def stop(self) -> None:
+        """Play no episode any more that has not begun."""
+        for player in (self.engine, *self._made.values()):
+            player.stop()
 
 
 class Sampler:
