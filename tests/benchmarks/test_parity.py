@@ -51,6 +51,7 @@ def test_figures_are_json_with_the_agreed_keys(figures):
     assert json.loads(json.dumps(record, allow_nan=False)) == record
 
 
+@pytest.mark.slow
 def test_the_same_figures_every_time(figures, merged):
     assert parity(merged, ROBOTS["jaco"]) == figures("jaco")
 

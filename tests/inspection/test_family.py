@@ -225,6 +225,7 @@ class Text(HTMLParser):
         self.text.append(data)
 
 
+@pytest.mark.slow
 def test_the_commands_look_at_it(run, tmp_path, capsys):
     folder = run[0]
     main(["view", str(folder), "--page", "rollouts", "--at", "3", "--out", str(tmp_path / "rollouts.rrd")])

@@ -104,6 +104,7 @@ def test_a_browser_shows_it(written, tmp_path, width):
     assert re.fullmatch(r"wide 0 bad 0 pictures [4-9]", title), title
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_gets_a_page_too(finished, small, tmp_path):
     young = tmp_path / "young"
     young.mkdir()

@@ -459,6 +459,7 @@ def test_steps_of_an_optimised_path_are_no_longer_than_xi_and_come_nearer(steere
     assert min(bent) >= 0.6 - 1e-9, "a step was bent farther than the estimate is trusted"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step, event", [("fixed", "steered"), ("fixed", "moved"), ("adaptive", "steered")])
 def test_an_optimised_path_killed_and_resumed_is_the_same_run(tmp_path, step, event):
     settings = config(path="optimised", step=step, jacobian_episodes=6, xi=0.12)
@@ -522,6 +523,7 @@ def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
                 assert share_on_segment(call["next"][None], META, end)[1] < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lead", [1.0, 0.5])
 def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path, lead):
     bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]), lead)}

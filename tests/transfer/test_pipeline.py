@@ -187,6 +187,7 @@ def test_killed_in_training_and_resumed_is_the_same_run(job, tmp_path, monkeypat
     assert kept[0] == kept[1], "a resumed run keeps the same episodes to be seen"
 
 
+@pytest.mark.slow
 def test_a_finished_run_resumed_reports_the_same(played, job):
     """Last, since it adds to the folder."""
     folder, report, _ = played
