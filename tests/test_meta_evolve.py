@@ -44,6 +44,7 @@ def test_it_offers_what_it_lists():
     assert all(getattr(meta_evolve, name).__doc__ for name in meta_evolve.__all__ if name != "__version__")
 
 
+@pytest.mark.slow
 def test_cards_and_names_are_alike(task):
     cards = meta_evolve.robots()
     by_card = meta_evolve.tree(cards["adroit"], [cards["kinova3"]])
@@ -71,6 +72,7 @@ def env():
     made.close()
 
 
+@pytest.mark.slow
 def test_gymnasium_finds_nothing_wrong(env):
     check_env(env.unwrapped, skip_render_check=False)
 

@@ -63,6 +63,7 @@ def test_episodes_end_as_under_robosuite(native, native_fast, expert):
     assert found.same == found.episodes == 3, found
 
 
+@pytest.mark.slow
 def test_the_recorded_controls_play_the_engines_physics(pair, expert):
     """So that bare mj_step is timed on the very motion that the engine is timed on."""
     plant, bare = (merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new()) for _ in range(2))
@@ -86,6 +87,7 @@ def test_the_parts_of_a_step_add_up(pair, expert):
     assert min(shares.values()) > 0 and shares["constraint solver"] > 0.05, shares
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_episodes(pair):
     """Short episodes, so that there are many; a leak of a model, a plant or a state each would show."""
     brief = MergedRobot(pair.space, dataclasses.replace(pair.merged.task, horizon=1))

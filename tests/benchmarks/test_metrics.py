@@ -41,6 +41,7 @@ def test_real_parameters_change_a_real_rollout(pair):
     assert np.isfinite(first).all() and min(first) >= 0 and max(first) > 0
 
 
+@pytest.mark.slow
 def test_what_a_robot_can_do_hangs_on_its_fingers(pair):
     """Between hand and jaw: a finger's dimension changes the grip, most arm joints' do not."""
     weights = capability_weights(pair.merged, [pair.space.beta("kinova3")], lambda done, total: None)

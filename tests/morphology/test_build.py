@@ -96,8 +96,8 @@ def test_f_is_cheap(merged, space, record_property):
         took["become"].append(became - started)
         took["mj_setConst"].append(time.thread_time() - became)
     median, floor = (1e3 * float(np.median(took[part])) for part in ("become", "mj_setConst"))
-    record_property("milliseconds", float(median))
-    record_property("milliseconds_of_mj_setConst", float(floor))
+    record_property("milliseconds", median)
+    record_property("milliseconds_of_mj_setConst", floor)
     assert median < max(1.0, 8.0 * floor), f"F(alpha) takes {median:.2f} ms, of which mj_setConst {floor:.2f} ms"
 
 
@@ -288,7 +288,7 @@ def farthest_apart(merged, fast, name, seed):
 def test_the_merged_robot_follows_the_same_commands(merged, native_fast, name, seed, record_property):
     """In free space, gripper open."""
     worst = 1e3 * farthest_apart(merged, native_fast(name), name, seed)
-    record_property("millimetres", float(worst))
+    record_property("millimetres", worst)
     assert worst < 1.0, f"{name}: grasp frame {worst:.2f} mm from the unmodified robot's within 1 s"
 
 
