@@ -348,6 +348,16 @@ def read_audit(folder: Path) -> dict[str, Any] | None:
     return require(read_object(file, mend), {"verdict": str, "edges": [edge]}, str(file), mend)
 
 
+def read_untrained(folder: Path) -> dict[str, dict[str, Any]]:
+    """Target -> ``successes`` of ``episodes`` of the source's expert there as it is; empty where that was not measured.
+
+    Raises:
+        ToolkitError: the file is damaged.
+    """
+    file, mend = folder / "untrained.json", "remove the file, and finish the run again with --resume"
+    return require(read_object(file, mend) if file.is_file() else {}, {...: {"successes": int, "episodes": int}}, str(file), mend)
+
+
 def read_tree(folder: Path) -> dict[str, Any]:
     """The evolution tree of a run folder.
 

@@ -67,8 +67,10 @@ def tree_figure(plan: Plan, walked: Sequence[tuple[str, str, float, float | None
         grey = 0.75 - 0.75 * (success if success is not None else 0.3)
         axes.plot(*line.T, color=str(grey), linewidth=4.5, zorder=2, solid_capstyle="butt")
         text = "walked" if success is None else f"success {success:.0%}"
-        share = 0.75 if edge is own else 0.5  # its middle lies in the midst of the tree
-        axes.annotate(text, line[-2] + share * (line[-1] - line[-2]) + (0, 10), ha="center", va="top", fontsize=8, bbox=PAPER, zorder=4)
+        if edge is own:
+            axes.annotate(text, line[-2] + 0.75 * (line[-1] - line[-2]) + (0, 10), ha="center", va="top", fontsize=8, bbox=PAPER, zorder=4)
+        else:  # from the edge's corner on: around the middle of a short one it would lie on the line that comes down to it
+            axes.annotate(text, line[-2] + (0, 10), (8, 0), textcoords="offset points", va="top", fontsize=8, bbox=PAPER, zorder=4)
     for name, node in plan.nodes.items():
         marker = {"source": "s", "meta": "D", "target": "o"}[node["kind"]]
         axes.plot(*plan.places[name], marker, color="white", markeredgecolor="black", markersize=9, zorder=3)

@@ -19,7 +19,7 @@ from toolkit.inspection.visual import visual_of
 from toolkit.io.atomic import write_atomically
 from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import Phase, load_phases
-from toolkit.runs.run import Run, read_audit, read_report, transfer_records
+from toolkit.runs.run import Run, read_audit, read_report, read_untrained, transfer_records
 
 STILLS = 8
 """Along each path."""
@@ -34,7 +34,10 @@ th, td { border-bottom: 1px solid #ccc; padding: .3rem .6rem; text-align: left; 
 th { border-bottom: 2px solid #111; } td:first-child { white-space: nowrap; } td.number { text-align: right; }
 pre { overflow-x: auto; background: #f4f4f4; padding: .6rem; font-size: .8rem; }
 .bar { display: inline-block; height: .7em; background: #444; vertical-align: middle; margin-right: .4em; }
-@media (max-width: 30rem) { table { font-size: .66rem; } th, td { padding: .25rem .18rem; } .bar { display: none; } }
+@media (max-width: 30rem) {
+  table { font-size: .62rem; } th, td { padding: .25rem .15rem; } .bar { display: none; }
+  pre { white-space: pre-wrap; word-break: break-all; }
+}
 .note { border-left: 4px solid #111; padding: .2rem .8rem; background: #f4f4f4; }
 """
 
@@ -138,7 +141,7 @@ def _page(run: Run, plan: Plan, records: list[dict[str, Any]], phases: dict[str,
           pictures: dict[str, bytes], missing: list[str]) -> str:
     config = run.config
     title = f"{config.get('source', '?')} to {', '.join(config.get('targets', []))}: {config.get('task', '?')}"
-    parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(config, records, report)]
+    parts = [f"<h1>{html.escape(title)}</h1>", _status(records, report), "<h2>Targets</h2>", _targets(run, records, report)]
     legend = ("To scale, lengths on the edges. Square: source; diamonds: meta robots; circles: targets. Thick: walked; the darker, the "
               "more success. Thin: planned. Slanting: a path that left from elsewhere than planned.")
     parts += ["<h2>Evolution tree</h2>", _figure(pictures, "tree", legend)]
@@ -182,19 +185,20 @@ def _status(records: list[dict[str, Any]], report: dict[str, Any] | None) -> str
             "Success on the unmodified robots is measured at the end.</p>")
 
 
-def _targets(config: dict[str, Any], records: list[dict[str, Any]], report: dict[str, Any] | None) -> str:
-    head = ("target", "unmodified robot", "95 % interval", "F(beta)")
-    rows = []
-    for name in config.get("targets", []):
+def _targets(run: Run, records: list[dict[str, Any]], report: dict[str, Any] | None) -> str:
+    head = ("target", "direct, untrained", "unmodified robot", "95 % interval", "F(beta)")
+    rows, untrained = [], read_untrained(run.path)
+    for name in run.config.get("targets", []):
+        before = "{successes} of {episodes}".format(**untrained[name]) if name in untrained else ""
         both = (report or {}).get("targets", {}).get(name)
         if both is None:
             reached = any(record["event"] == "arrived" and record["target"] == name for record in records)
-            rows.append([name, "not measured yet", "", "reached" if reached else "not reached yet"])
+            rows.append([name, before, "not measured yet", "", "reached" if reached else "not reached yet"])
             continue
         native, merged = both["native"], both["merged"]
         low, high = native["ci95"]
         bar = f'<span class="bar" style="width:{4 * native["success_rate"]:.2f}em"></span>'
-        rows.append([name, _Html(f"{bar}{native['successes']} of {native['episodes']}"), f"{low:.2f} to {high:.2f}",
+        rows.append([name, before, _Html(f"{bar}{native['successes']} of {native['episodes']}"), f"{low:.2f} to {high:.2f}",
                      f"{merged['successes']} of {merged['episodes']}"])
     return _table(head, rows)
 

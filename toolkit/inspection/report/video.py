@@ -16,11 +16,10 @@ from toolkit.errors import ToolkitError
 from toolkit.inspection.report.stills import ArmRenderer, ModelRenderer, renderer_of, write_on
 from toolkit.inspection.trajectory import PickTrajectory, Trajectory, replay
 from toolkit.inspection.visual import Motion, Visual, visual_of
-from toolkit.io.jsonfiles import read_object, require
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Merged
 from toolkit.runs.phases import KeptEpisode, Phase, landmarks, load_phases
-from toolkit.runs.run import read_report
+from toolkit.runs.run import read_report, read_untrained
 from toolkit.simulation.laws import Drivable, merged_plant
 
 SIZE = 720, 540
@@ -145,10 +144,7 @@ def _scenes(player: _Player, phases: list[Phase], progress: Callable[[str], None
 
 def _untrained(folder: Path) -> str:
     """What the source's expert does on the targets as it is; empty where that was not measured."""
-    file = folder / "untrained.json"
-    found = read_object(file, "leave out --video") if file.is_file() else {}
-    require(found, {...: {"successes": int, "episodes": int}}, str(file), "leave out --video")
-    rates = [f"{name} {one['successes']} of {one['episodes']}" for name, one in found.items()]
+    rates = [f"{name} {one['successes']} of {one['episodes']}" for name, one in read_untrained(folder).items()]
     return f"untrained on the unmodified robots: {', '.join(rates)}" if rates else ""
 
 
