@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasks.hand_suite import CARDS
-from toolkit.demonstrations.hand_dapg import read_demonstrations, read_hand_dapg
+from toolkit.demonstrations.hand_dapg import read_hand_dapg
+from toolkit.demonstrations.reading import read_demonstrations
 from toolkit.demonstrations.recorded import Recorded, save_recorded
 from toolkit.errors import ToolkitError
 

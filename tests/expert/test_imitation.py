@@ -133,7 +133,7 @@ def test_the_command_trains_from_a_file(tmp_path, monkeypatch, capsys):
 def test_a_file_of_another_task_is_refused_before_anything_is_learned(tmp_path):
     task = CARDS["relocate"]
     save_recorded(tmp_path / "x.npz", task, Recorded(np.zeros((2, 39)), np.zeros((2, 30)), np.array([2])))
-    from toolkit.demonstrations.hand_dapg import read_demonstrations
+    from toolkit.demonstrations.reading import read_demonstrations
 
     with pytest.raises(ToolkitError, match="was recorded in another task than door"):
         read_demonstrations(tmp_path / "x.npz", CARDS["door"])

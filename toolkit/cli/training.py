@@ -158,7 +158,7 @@ def _steps_teach(
     robot: "ModelRobot", task: "ModelTask", shown: Shown | None, config: "ExpertConfig", progress: Progress, cluster: "Cluster | None"
 ) -> Training:
     """The expert of a task on one model: taught by recorded steps, on the unmodified robot."""
-    from toolkit.demonstrations.hand_dapg import read_demonstrations
+    from toolkit.demonstrations.reading import read_demonstrations
     from toolkit.expert.training import imitate
     from toolkit.simulation.rollout import NativeEngine
 

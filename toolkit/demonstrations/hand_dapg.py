@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tasks.task import Task
-from toolkit.demonstrations.recorded import LARGEST, Recorded, joined, read_recorded
+from toolkit.demonstrations.recorded import LARGEST, Recorded, joined
 from toolkit.errors import ToolkitError
 
 NUMBERS = ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "b1")
@@ -300,17 +300,3 @@ def _episodes(path: Path, found: Any) -> list[tuple[np.ndarray, np.ndarray]]:
             raise ToolkitError(f"{path}: its episode {k} has no arrays 'observations' and 'actions'; give one of hand_dapg's files")
         out.append((pair[0], pair[1]))
     return out
-
-
-def read_demonstrations(path: Path, task: Task) -> Recorded:
-    """Read a file of either layout: .npz (docs/demonstrations.md), or one of hand_dapg's.
-
-    Raises:
-        ToolkitError: as those readers.
-    """
-    try:
-        with path.open("rb") as file:
-            begins = file.read(2)
-    except OSError as error:
-        raise ToolkitError(f"{path} cannot be read ({error.strerror}); give a file of demonstrations") from None
-    return read_recorded(path, task) if begins == b"PK" else read_hand_dapg(path, task)
