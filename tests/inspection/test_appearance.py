@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from toolkit.inspection.appearance import GRID, simplified
 from toolkit.inspection.visual import ArmVisual
 
 
@@ -40,3 +41,24 @@ def test_at_its_own_parameters_a_robot_looks_as_its_own_scene_has_it(pair, visua
         bodies = [visual.appearance.instances[k].body for k in own]
         assert any(visual.appearance.instances[k].shapes for k in own)
         np.testing.assert_allclose(motion.positions[0, own], data.xpos[bodies], atol=1e-9)
+
+
+def test_the_walls_of_a_thin_shell_stay_two():
+    """A sphere with a hollow that leaves it a wall of a millimetre: a cell of the grid holds both sides."""
+    outside = sphere(0.05)
+    hollow = outside[0] * 0.98, outside[1][:, ::-1] + len(outside[0])
+    vertices, faces = np.concatenate([outside[0], hollow[0]]), np.concatenate([outside[1], hollow[1]])
+    kept, left = simplified(vertices, faces)
+    assert len(left) < 0.7 * len(faces) and GRID > 0.001
+    radii = np.linalg.norm(kept, axis=1)
+    assert ((radii < 0.0493) | (radii > 0.0497)).all(), "no vertex lies between the walls"
+
+
+def sphere(radius):
+    """Vertices (n, 3) [m] and faces (m, 3) of a sphere, a tenth of a cell apart at its poles and a cell at its equator."""
+    up, around = np.linspace(0.02, np.pi - 0.02, 90), np.linspace(0, 2 * np.pi, 180, endpoint=False)
+    theta, phi = np.meshgrid(up, around, indexing="ij")
+    points = radius * np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1).reshape(-1, 3)
+    a = (np.arange(89)[:, None] * 180 + np.arange(180)).ravel()
+    b = (np.arange(89)[:, None] * 180 + (np.arange(180) + 1) % 180).ravel()
+    return points, np.concatenate([np.stack([a, a + 180, b], axis=1), np.stack([b, a + 180, b + 180], axis=1)])

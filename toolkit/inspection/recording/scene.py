@@ -28,6 +28,8 @@ METRES_PER_NEWTON = 0.01
 """Length of a contact's arrow."""
 LONGEST_ARROW = 0.25
 """[m] for the jolts of a simulation that comes apart."""
+THINNEST = 0.001
+"""Half length [m] of a solid under which its wireframe is not drawn."""
 LABEL, GOAL, TRAIL, AIM, PUSH = (70, 74, 82), (0, 158, 115), (0, 114, 178), (230, 159, 0), (213, 94, 0)
 
 
@@ -135,6 +137,10 @@ class Scene:
     def _show_primitives(self, name: str, drawn: Primitives, times: np.ndarray, iteration: int, motions: Sequence[Motion]) -> None:
         places, turns, sizes = (np.concatenate([motion.parts[name][k] for motion in motions], axis=1) for k in range(3))
         columns = _solids(drawn, (places, turns, sizes))
+        there = np.ones(places.shape[:2], bool)
+        if drawn.wire:  # of what has shrunk to nothing the lines would still be drawn, as a dot
+            there = sizes.max(axis=-1) > THINNEST
+            columns = {key: values[there.ravel()] for key, values in columns.items()}
         if drawn.columns is not None:
             shown = np.concatenate(
                 [opacity(motion.weights[:, drawn.columns], motion.weights.max(axis=1, keepdims=True)) for motion in motions], axis=1
@@ -144,7 +150,7 @@ class Scene:
             columns["colors"] = np.round(colours).astype(np.uint8).reshape(-1, 4)
         archetype = ARCHETYPES[drawn.kind]
         self.stream.rows(f"scene/robot/{name}", times, iteration,
-                         archetype.columns(**columns).partition([places.shape[1]] * len(times)))
+                         archetype.columns(**columns).partition(there.sum(axis=1)))
 
     def _touches(self, times: np.ndarray, iteration: int, pairs: Sequence[tuple[PickTrajectory, np.ndarray]]) -> None:
         """Contacts of each trajectory, where its robot stands."""
