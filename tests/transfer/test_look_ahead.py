@@ -1,0 +1,96 @@
+"""Looks ahead: a policy that holds farther on goes there at once, and only where it holds."""
+
+import numpy as np
+import pytest
+from toy_transfer import SOURCE, TARGETS, TOLERANCE, Toy, config, error_at, records, transfer_of
+
+from toolkit.evolution import Terminal
+
+pytestmark = pytest.mark.usefixtures("unhurried")
+
+
+def test_the_way_goes_on_only_where_the_exploring_policy_succeeds_too(finished):
+    """Before every move: the mean action and the policy under noise, each at its threshold, on the very robot that is next.
+
+    Adaptive steps ask the mean action alone at a target, where nothing follows.
+    """
+    transfer, toy = finished
+    told = [r for r in records(transfer) if r["event"] in ("check", "look", "explore", "moved")]
+    calm = [r for i, r in enumerate(told) if not (r["event"] == "explore" and i + 1 < len(told) and told[i + 1]["event"] == "explore")]
+    moves = [calm[i - 2 : i + 1] for i, record in enumerate(calm) if record["event"] == "moved"]
+    assert moves
+    for before, last, moved in moves:
+        if last["event"] == "explore":
+            assert before["event"] in ("check", "look") and before["reach"] == last["reach"]
+            assert before["success"] >= transfer.config.threshold and last["success"] >= transfer.config.noisy_threshold
+        else:
+            alone = transfer.routes[moved["path"]][-1] in ("left", "right")
+            assert alone and moved["distance"] < 1e-9 and transfer.config.step == "adaptive", moved
+            assert last["held"] and last["success"] >= transfer.config.threshold
+    checks = toy.of(training=False)
+    assert {call["noisy"] for call in checks} == {True, False}
+    assert sum(len(call["seeds"]) for call in checks if call["noisy"]) == sum(r["checked"] for r in told if r["event"] == "explore")
+
+
+def test_a_target_that_holds_already_leaves_the_tree_at_once(tmp_path):
+    """Its branch begins on it, and costs no training; the others go on from where the policy stood."""
+    toy = Toy()
+    near = Terminal("near", np.array([0.3, 0.0, 0.43]))  # wants what the source wants
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), toy, targets=[TARGETS[0], near])
+    transfer.meta_evolve()
+    paths = {transfer.routes[path][-1]: path for path in transfer.costs}
+    assert transfer.costs[paths["near"]].sim_epochs == 0 and transfer.costs["path 1"].sim_epochs == 0
+    (moved,) = [r for r in records(transfer, "moved") if r["path"] == paths["near"]]
+    assert not moved["trained"] and moved["distance"] == 0
+    begins = [call["alpha"] for call in toy.calls if call["path"] == paths["left"]]
+    np.testing.assert_array_equal(begins[0], SOURCE.alpha)
+    assert error_at(transfer.arrived["left"], TARGETS[0].alpha) < TOLERANCE
+
+
+def test_a_look_at_the_unmodified_robot_can_end_a_path_at_once(tmp_path):
+    """F(beta) wants something else than the source; the native robot does not, and is looked at first."""
+    native = Toy()
+    native.one = lambda actor, alpha, seed: Toy.one(native, actor, SOURCE.alpha, seed)
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(learner="search", native=True), toy, targets=TARGETS[:1], native={"left": native})
+    transfer.meta_evolve()
+    assert not toy.calls and {call["stage"] for call in native.calls} == {"settle"} and not native.of(training=True)
+    assert [r["event"] for r in records(transfer)] == ["look", "moved", "check", "arrived"]
+
+
+class Valley(Toy):
+    """Robots between a tenth and nine tenths of the way to the target want something else than both ends do."""
+
+    def one(self, actor, alpha, seed):
+        inside = 0.1 < float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha)) < 0.9
+        return super().one(actor, np.array([0.5, 0.0, 0.0]) if inside else SOURCE.alpha, seed)
+
+
+@pytest.mark.parametrize("learner", ["npg", "search"])
+def test_success_need_not_be_monotone_along_a_way(tmp_path, learner):
+    """A policy that is already behind the robots that it could not master goes on from there, however short its last step was."""
+    toy = Valley()
+    transfer = transfer_of(tmp_path / "run", config(learner=learner, path_budget=500), toy, targets=TARGETS[:1])
+    transfer.pending[0].stride = 0.05
+    transfer.meta_evolve()
+    assert not toy.of(training=True), f"{len(toy.of(training=True))} batches were trained on a way that needs none"
+    assert error_at(transfer.arrived["left"], SOURCE.alpha) < TOLERANCE
+
+
+class Cliff(Toy):
+    """Robots up to nine tenths of the way want what no policy does; from there on the source's action succeeds for some of the seeds."""
+
+    def one(self, actor, alpha, seed):
+        ahead = 0.01 < float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha)) < 0.9
+        return super().one(actor, np.array([9.0 if ahead else 0.11, 0.0, 0.0]), seed)
+
+
+def test_the_search_trains_where_a_look_succeeded_sometimes(tmp_path):
+    """The end of the way is within reach although nothing before it is: not one episode is spent there."""
+    toy = Cliff()
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), toy, targets=TARGETS[:1])
+    transfer.meta_evolve()
+    assert toy.of(training=True)
+    for call in toy.of(training=True):
+        np.testing.assert_allclose(call["alphas"], np.tile(TARGETS[0].alpha, (len(call["seeds"]), 1)), atol=1e-12)
+    assert set(transfer.arrived) == {"left"} and not records(transfer, "budget")
