@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 import types
+import zipfile
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # No deadlines: they would time the first call's compilation.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
-pytest.register_assert_rewrite("toy_transfer")  # its asserts say what differs, as those of a test do
+pytest.register_assert_rewrite("command_line", "toy_transfer")  # its asserts say what differs, as those of a test do
 logging.getLogger("robosuite_logs").addFilter(lambda record: False)  # robosuite warns of parts that no arm here has
 
 
@@ -61,6 +62,15 @@ def pair(task):
     from toolkit.morphology.lab import Lab
 
     return Lab(ROBOTS["adroit"], [ROBOTS["kinova3"]], task)
+
+
+@pytest.fixture(scope="session")
+def arms(task):
+    """The source and the three arms of the paper, merged."""
+    from robots import ROBOTS
+    from toolkit.morphology.lab import Lab
+
+    return Lab(ROBOTS["adroit"], [ROBOTS[name] for name in ("jaco", "kinova3", "iiwa")], task)
 
 
 def loader(make):
@@ -145,6 +155,19 @@ def checkout():
         return folder
 
     return make
+
+
+@pytest.fixture
+def unpacked(tmp_path):
+    """name -> folder of a shipped bundle; its policy is a trained one, which no rounding throws out of its episode."""
+    from toolkit.bundle.reading import shipped_bundles
+
+    def unpack(name):
+        with zipfile.ZipFile(shipped_bundles()[name]) as archive:
+            archive.extractall(tmp_path)
+        return tmp_path / name
+
+    return unpack
 
 
 @pytest.fixture

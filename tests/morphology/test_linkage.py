@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
 from toolkit.morphology import linkage
-from toolkit.morphology.linkage import become_box, equivalent_linkages
+from toolkit.morphology.linkage import become_box, closed_on_box, equivalent_linkages
 
 FOUR_BAR = [name for name, robot in ROBOTS.items() if robot.gripper.four_bar]
 
@@ -174,3 +174,12 @@ def test_the_pads_feel_what_robosuites_do_while_they_close(merged, native, task)
             forces.append(row)
         assert max(forces[1]) > 10, f"{name} grips with {max(forces[1]):.1f} N"
         assert np.abs(np.subtract(*forces)).max() < 0.35 * max(forces[1]), f"{name}: {np.round(forces, 1)} N"
+
+
+def test_the_closed_bench_leaves_the_model_alone(pair):
+    model, data = pair.merged.new()
+    pair.merged.become(pair.space.beta("kinova3"), model, data)
+    before = model.geom_friction.copy(), model.opt.gravity.copy()
+    closed_on_box(model, model.qpos0, [0], model.body("object").id, [7], lambda command: np.zeros(1), -1.0)
+    assert np.array_equal(before[0], model.geom_friction) and np.array_equal(before[1], model.opt.gravity)
+    assert isinstance(model, mujoco.MjModel)

@@ -235,3 +235,10 @@ def test_every_tangent_is_a_direction(reference, tangent):
     )
     axis = directions(tangent[None], reference[None], basis[None])[0]
     assert abs(np.linalg.norm(axis) - 1) < 1e-12, f"axis of length {np.linalg.norm(axis)}"
+
+
+def test_boxes_do_not_tumble_between_two_pads(space):
+    """Every shape's turn between two robots that own it is the smallest that its symmetry allows: under 45 degrees here."""
+    for slot, turns in zip(space.shape_slots, np.swapaxes(space.fields["shape_rotation"].values, 0, 1), strict=True):
+        owned = [turn for turn, owner in zip(turns, slot.owners, strict=True) if owner is not None]
+        assert all(np.linalg.norm(turn) < np.pi / 4 for turn in owned), slot.name

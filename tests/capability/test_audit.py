@@ -1,0 +1,160 @@
+"""The audit tells sound robots from broken ones, and names what broke them; the robots in between keep the promise on a sample."""
+
+import itertools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolkit.capability.audit import LEADS, SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
+from toolkit.capability.bench import Capability
+from toolkit.capability.figure import save_audit
+from toolkit.errors import ToolkitError
+
+
+def robot(**numbers):
+    base = {"grip_n": 20.0, "grip_by_width": {}, "balance": 0.9, "height_mm": 0.0, "askew_nmm": 0.0, "opening_mm": 80.0,
+            "closing_steps": 8.0, "reach_mm": 20.0, "clearance_mm": 5.0}
+    return Capability(**base | numbers)
+
+
+sane = st.builds(
+    robot, grip_n=st.floats(1, 100), balance=st.floats(0, 1), height_mm=st.floats(-20, 20), opening_mm=st.floats(20, 150),
+    closing_steps=st.floats(1, 150),
+)
+
+
+@settings(max_examples=200)
+@given(first=sane, last=sane, share=st.floats(0, 1))
+def test_whatever_lies_between_the_ends_keeps_the_promise(first, last, share):
+    mix = lambda name: (1 - share) * getattr(first, name) + share * getattr(last, name)  # noqa: E731
+    names = ("grip_n", "balance", "height_mm", "opening_mm", "closing_steps")
+    assert violations({0.0: first, 0.5: robot(**{name: mix(name) for name in names}), 1.0: last}) == []
+
+
+@pytest.mark.parametrize("quantity, value", [
+    ("grip_n", 15.9), ("grip_n", 25.1), ("balance", 0.79), ("height_mm", 5.1), ("height_mm", -5.1), ("opening_mm", 70.0),
+    ("closing_steps", 10.0), ("closing_steps", None),
+])
+def test_whatever_lies_outside_breaks_it(quantity, value):
+    found = violations({0.0: robot(), 0.4: robot(**{quantity: value}), 1.0: robot()})
+    assert [(v.share, v.quantity) for v in found] == [(0.4, quantity)]
+    json.dumps(found[0].to_json(), allow_nan=False)
+    assert "asked" in found[0].sentence()
+
+
+def test_a_script_must_hold_only_where_it_holds_at_both_ends():
+    holds, fails = robot(script=1.0), robot(script=0.5)
+    assert [v.quantity for v in violations({0.0: holds, 0.5: fails, 1.0: holds})] == ["script"]
+    assert violations({0.0: holds, 0.5: fails, 1.0: fails}) == []
+    assert allowed("script", robot(), holds) is None
+
+
+def test_an_end_that_cannot_hold_promises_nothing():
+    way = Way("hand", "jaw", np.zeros(1), np.ones(1))
+    assert "grips the object with 0.00 N" in reserve(way, robot(), robot(grip_n=0.0), 0.05)
+    assert "jaw opens by 40 mm and the object is 50 mm wide" in reserve(way, robot(), robot(opening_mm=40.0), 0.05)
+    assert reserve(way, robot(), robot(), 0.05) is None
+
+
+@pytest.mark.slow
+def test_a_broken_motor_is_found_and_named(arms, monkeypatch):
+    """A law that lets the thumb's motor vanish half way is a cliff: the audit must find it, and blame the thumb."""
+    thumb, index = arms.merged.law.fingers.index("TH"), arms.space.matching.names.index("iiwa")
+    dims = arms.merged.law._dimensions[thumb]
+    first, last = arms.space.beta("kinova3"), arms.space.betas[index]
+    moved = np.abs(last - first)[dims].sum()
+    sound = type(arms.merged.law).motors
+
+    def broken(self, alpha, p, model, data):
+        motors = sound(self, alpha, p, model, data)
+        share = np.abs(alpha - first)[dims].sum() / moved
+        weak = np.where(self._finger_of == thumb, 0.02 if 0.3 < share < 0.7 else 1.0, 1.0)
+        return replace(motors, limit=motors.limit * weak)
+
+    monkeypatch.setattr(type(arms.merged.law), "motors", broken)
+    way = Way("kinova3", "iiwa", first, last)
+    audit = Audit(arms.merged, robots=5, episodes=0, brief=True, threads=2)
+    edge = audit.along(way)
+    audit.close()
+    worst = next(v for v in edge.violations if v.quantity == "balance")
+    assert 0.25 < worst.share < 0.75
+    causes = [v.cause for v in edge.violations if v.cause is not None]
+    assert any(cause.startswith("TH") for cause in causes), causes
+    assert "worse robots" in verdict([edge])
+
+
+@pytest.mark.slow
+def test_nothing_is_wrong_between_two_linkages(arms, tmp_path):
+    way = Way("kinova3", "iiwa", arms.space.beta("kinova3"), arms.space.beta("iiwa"))
+    (edge,) = run_audit(arms.merged, [way], robots=5, episodes=1, causes=False, threads=2)
+    grips = [robot.grip_n for robot in edge.robots.values()]
+    assert not [v for v in edge.violations if v.quantity in ("grip_n", "script")], [v.sentence() for v in edge.violations]
+    assert max(grips) <= 1.25 * max(r.grip_n for r in edge.ends), grips
+    content = [edge.to_json()]
+    assert set(content[0]) == {"from", "to", "first", "lead", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
+    json.dumps(content, allow_nan=False)
+    save_audit(content, tmp_path / "audit.png")
+    assert (tmp_path / "audit.png").stat().st_size > 10_000
+    with pytest.raises(ToolkitError, match="name a .png or .svg file"):
+        save_audit(content, tmp_path / "audit.xyz")
+
+
+@pytest.mark.slow
+def test_where_both_sides_at_once_cannot_hold_one_goes_first(arms, tmp_path):
+    """To the Jaco the script drops the object half way, unless the fingers have arrived before the thumb sets out."""
+    tree = arms.tree("l1", "steiner")
+    way = next(way for way in ways_of(tree) if way.end == "jaco")
+    (straight,), (bent,) = (
+        run_audit(arms.merged, [way], bend=bend, robots=3, episodes=3, scripted=1, causes=False, brief=True, threads=2)
+        for bend in (False, True)
+    )
+    assert "script" in {v.quantity for v in straight.violations} and straight.way.ahead is None
+    assert bent.way.ahead in SIDES and bent.robots[0.5].script == 1.0 and bent.broken < straight.broken
+    assert "bent" in verdict([bent]) and bent.to_json()["first"] == bent.way.ahead
+
+
+def test_a_bent_way_is_as_long_in_l1_and_goes_through_its_corner(arms):
+    first, last = arms.space.beta("kinova3"), arms.space.beta("jaco")
+    way = Way("kinova3", "jaco", first, last)
+    for side, lead in itertools.product(SIDES, LEADS):
+        bent = way.bent(arms.space, side, lead)
+        places = np.array([bent.at(share) for share in np.linspace(0.0, 1.0, 101)])
+        assert np.abs(np.diff(places, axis=0)).sum() == pytest.approx(np.abs(last - first).sum())
+        np.testing.assert_allclose(places[[0, -1]], [first, last], atol=1e-12)
+        mine = arms.space.side(side)
+        others = np.setdiff1d(np.arange(arms.space.size), mine)
+        settled = np.abs(places[:, mine] - last[mine]).max(axis=1) < 1e-9
+        gone = np.abs(places[:, others] - first[others]).sum(axis=1) / np.abs(last - first)[others].sum()
+        assert np.all(settled | (gone < 1.0 - lead + 1e-9)) and np.all(~settled | (gone > 1.0 - lead - 1e-9))
+    assert Way("here", "here", first, first).bent(arms.space, "thumb") is None
+    assert not set(arms.space.side("thumb")) & set(arms.space.side("fingers"))
+
+
+@pytest.mark.slow
+def test_the_grip_along_the_paper_s_tree_keeps_the_promise(arms):
+    """The thin part of the promise that a test can afford: grip on every edge, brief."""
+    edges = run_audit(arms.merged, ways_of(arms.tree("l1", "steiner")), robots=7, episodes=0, causes=False, brief=True, threads=2)
+    broken = [(e.way.start, e.way.end, v.sentence()) for e in edges for v in e.violations if v.quantity == "grip_n"]
+    assert not broken, broken
+
+
+@pytest.mark.slow
+def test_what_changes_on_a_short_way_is_told(arms):
+    audit = Audit(arms.merged, brief=True, threads=2)
+    told = audit.change(Way("here", "next", arms.space.beta("kinova3"), arms.space.beta("jaco")))
+    assert told.startswith("grip force falls from") and "within" in told
+    assert "hardly changes" in audit.change(Way("here", "next", arms.space.beta("jaco"), arms.space.beta("jaco")))
+    audit.close()
+
+
+def test_an_audit_of_too_few_robots_is_refused(arms):
+    with pytest.raises(ToolkitError, match="2 robots per edge or more"):
+        Audit(arms.merged, robots=1)
+
+
+def test_a_violation_without_a_value_is_the_worst():
+    assert Violation(0.5, "closing_steps", np.inf, (0.0, 10.0)).excess == np.inf
