@@ -1,4 +1,8 @@
-"""A bundle is whole, acts as the policy does on robosuite's robot, and says in one sentence what is wrong with it."""
+"""A bundle is whole, acts as the policy does on robosuite's robot, and says in one sentence what is wrong with it.
+
+What writes bundles, what describes robots in them and what reads them are tried together on one that is measured here: that takes ten
+seconds, and a file to itself would measure it again.
+"""
 
 import dataclasses
 import hashlib
@@ -255,11 +259,6 @@ def test_a_config_that_is_not_json_is_refused_and_leaves_no_manifest(policy, say
     assert not (tmp_path / "b" / MANIFEST).exists()
 
 
-def test_nothing_there(tmp_path):
-    with pytest.raises(ToolkitError, match="nowhere does not exist; .*shipped.*; or write one: meta-evolve export"):
-        load_bundle(tmp_path / "nowhere")
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_a_missing_file_is_named(copy, name):
     (copy / name).unlink()
@@ -356,13 +355,6 @@ def test_a_record_that_this_release_does_not_give_is_refused_by_name(exported, c
     check_records(manifest, "b")
     with pytest.raises(ToolkitError, match=culprit):
         check_records(changed, "b")
-
-
-@pytest.mark.parametrize("data", [b"", b"PK\x03\x04 rest", b"hello"])
-def test_a_file_that_is_no_zip(tmp_path, data):
-    (tmp_path / "b.zip").write_bytes(data)
-    with pytest.raises(ToolkitError, match="is no bundle"):
-        load_bundle(tmp_path / "b.zip")
 
 
 def zipped(path, entries):

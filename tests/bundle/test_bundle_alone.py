@@ -1,10 +1,9 @@
-"""What the manifest says of the simulation, followed by code that knows nothing else, does what robosuite does."""
+"""What the manifest says of the simulation, followed by code that knows nothing else, does what robosuite does.
 
-import hashlib
+Control law, world, schema and the policy's other forms are tried together on one bundle that is measured here, as in test_bundle.py.
+"""
+
 import json
-import subprocess
-import sys
-import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,8 +19,7 @@ from tasks import TASKS
 from tasks.env import Pick
 from tasks.pick import OBSERVATION, OBSERVATION_SIZE, START_POSITION
 from tasks.table import TABLE_FRICTION
-from toolkit.bundle.reading import FILES, HASHED, check_bundle, load_bundle, shipped_bundles
-from toolkit.errors import ToolkitError
+from toolkit.bundle.reading import load_bundle
 
 # An opening preshape, a base that turns with joint 1, fingers that slide.
 TARGETS = ("jaco", *(pytest.param(name, marks=pytest.mark.slow) for name in ("iiwa", "panda")))
@@ -418,88 +416,3 @@ def test_the_config_tells_the_flat_graphs_shapes(alone):
     assert len(set(config["observation_names"])) == OBSERVATION_SIZE and (folder / config["safetensors"]).is_file()
     assert {config["input_features"]["observation.state"]["type"], config["output_features"]["action"]["type"]} == {"STATE", "ACTION"}
     assert set(config["normalization_mapping"].values()) == {"IDENTITY"}, "the graph normalises by itself"
-
-
-# -- replayed without the toolkit --------------------------------------------------------------------------------------
-
-ALONE = """
-import runpy, sys
-for name in ("toolkit", "tasks", "robots", "grippers", "mink", "torch", "onnxruntime"):
-    sys.modules[name] = None  # not to be imported
-sys.argv = sys.argv[1:]
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
-
-
-def replay(folder):
-    command = [sys.executable, "-I", "-c", ALONE, str(ROOT / "docs" / "replay_golden.py"), str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
-    return done, json.loads(done.stdout.splitlines()[-1]) if done.stdout else {}
-
-
-@pytest.fixture
-def unpacked(tmp_path):
-    """name -> folder of a shipped bundle; its policy is a trained one, which no rounding throws out of its episode."""
-
-    def unpack(name):
-        with zipfile.ZipFile(shipped_bundles()[name]) as archive:
-            archive.extractall(tmp_path)
-        return tmp_path / name
-
-    return unpack
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["jaco", "kinova3", "iiwa"])
-def test_golden_actions_replay_in_robosuite_without_the_toolkit(unpacked, name):
-    folder = unpacked(name)
-    done, said = replay(folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    golden = json.loads((folder / "manifest.json").read_text())["golden"]
-    assert golden["success"] and said["steps"] == golden["steps"] - 1 and said["arm_rad"] < 1e-5 and said["object_m"] < 1e-5, said
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("harm", [
-    lambda m: m["simulation"]["actuators"][0].update(start=-m["simulation"]["actuators"][0]["start"]),
-    lambda m: m["start"]["arm_rad"].__setitem__(1, m["start"]["arm_rad"][1] + 0.02),
-    lambda m: m["task"]["object"].update(half_size_m=[0.03, 0.03, 0.03]),
-])
-def test_a_replay_from_a_wrong_manifest_fails(unpacked, harm):
-    """The script compares: a gripper that starts otherwise, an arm that does, another object are not the recording."""
-    folder = unpacked("jaco")
-    broken = json.loads((folder / "manifest.json").read_text())
-    harm(broken)
-    (folder / "manifest.json").write_text(json.dumps(broken))
-    done, said = replay(folder)
-    assert done.returncode == 1 and said and max(said["arm_rad"], said["object_m"]) > 1e-4, done.stderr
-
-
-EARLIER = ("policy.onnx", "policy.safetensors", "golden.npz", "robot.xml", "README.md")
-
-
-@pytest.mark.parametrize("version, lacks, kept", [
-    (2, ("simulation", "licence", "holds", "braking", "borne_delay_steps"), EARLIER),
-    (5, ("borne_delay_steps",), HASHED),
-    (4, ("braking", "borne_delay_steps"), HASHED),
-    (3, ("holds", "braking", "borne_delay_steps"),
-     (*EARLIER, "policy_flat.onnx", "actor.safetensors", "manifest.schema.json", "config.json")),
-])
-def test_a_bundle_of_an_earlier_format_version_still_loads(unpacked, version, lacks, kept):
-    """As earlier releases wrote it: fewer entries, and fewer files beside the manifest."""
-    folder = unpacked("kinova3")
-    manifest = json.loads((folder / "manifest.json").read_text())
-    label = {key: value for key, value in manifest.items() if key not in ("sha256", *lacks)} | {"format_version": version}
-    model = onnx.load(folder / "policy.onnx")
-    onnx.helper.set_model_props(model, {"meta_evolve": json.dumps(label)})
-    (folder / "policy.onnx").write_bytes(model.SerializeToString())
-    for file in set(FILES) - {*kept, "manifest.json"}:
-        (folder / file).unlink(missing_ok=True)
-    old = label | {"sha256": {file: hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in kept}}
-    (folder / "manifest.json").write_text(json.dumps(old))
-    bundle = load_bundle(folder)
-    assert all(getattr(bundle.manifest, key) is None for key in lacks)
-    assert bundle.manifest.to_json() == old and check_bundle(bundle)["golden_ok"]
-    (folder / "manifest.json").write_text(json.dumps(old | {"borne_delay_steps": 1}))
-    with pytest.raises(ToolkitError, match=f"borne_delay_steps does not fit format version {version}.*export the bundle again"):
-        load_bundle(folder)
