@@ -156,3 +156,35 @@ def test_the_scripted_pick_succeeds_on_the_merged_kinova3(engine, space):
     episodes = engine.play(PickScript(), [space.beta("kinova3")] * 4, range(4))
     assert all(e.success for e in episodes), f"{sum(e.success for e in episodes)} of 4 scripted picks succeed"
     assert all(e.rewards.sum() == 1 and e.rewards[-1] == 1 and e.terminated for e in episodes)
+
+
+def carried(plant, places):
+    """An actor that does nothing while the object is put at each of the places in turn."""
+    steps = iter(places)
+    address = plant.model.joint("object").qposadr[0]
+
+    def act(observation, rng):
+        place = next(steps, None)
+        if place is not None:
+            plant.data.qpos[address : address + 7] = [*(plant.goal if place == "goal" else place), 1, 0, 0, 0]
+            plant.data.qvel[-6:] = 0
+        return np.zeros(ACTION_SIZE)
+
+    return act
+
+
+def test_success_in_a_rollout_needs_consecutive_steps(pair, task):
+    plant = merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new())
+    steps, aside = task.hold_steps, [0.3, 0.3, 0.9]
+    act = carried(plant, ["goal"] * (steps - 1) + [aside] + ["goal"] * steps)
+    episode = play(plant, act, 0, pair.space.beta("kinova3"))
+    assert episode.success and episode.terminated
+    assert episode.steps == 2 * steps, f"ended after {episode.steps} steps, {2 * steps} expected"
+    assert episode.rewards.tolist() == [0.0] * (2 * steps - 1) + [1.0], "one reward, on the last step"
+
+
+def test_a_lost_object_ends_a_rollout_as_a_failure(pair):
+    plant = merged_plant(pair.merged, pair.space.beta("kinova3"), *pair.merged.new())
+    episode = play(plant, carried(plant, [None, None, [1.5, 0.0, 0.5]]), 0, pair.space.beta("kinova3"))
+    assert (episode.steps, episode.success, episode.diverged, episode.terminated) == (3, False, False, True)
+    assert episode.total_reward == 0.0
