@@ -81,6 +81,7 @@ def assert_same(found, wanted):
             np.testing.assert_array_equal(getattr(mine, name), value, err_msg=f"{name} of seed {theirs.seed}")
 
 
+@pytest.mark.slow
 def test_two_nodes_play_the_same_bits(cluster, lab, batch, local):
     assert len({remote.node for remote in cluster._held}) == 2, "both actors stand on one node"
     engine = cluster.merged(lab)
@@ -89,6 +90,7 @@ def test_two_nodes_play_the_same_bits(cluster, lab, batch, local):
     engine.close()
 
 
+@pytest.mark.slow
 def test_the_unmodified_robot_plays_the_same_bits(cluster, task, batch):
     actors, alphas, seeds = (part[:3] for part in batch)
     here, there = NativeEngine(ROBOTS[TARGET], task), cluster.native(ROBOTS[TARGET], task)
@@ -144,6 +146,7 @@ def test_an_expert_that_learns_from_nothing_learns_the_same(cluster):
     assert found[0][1] == found[1][1] and found[0][1]["updates"] == 1
 
 
+@pytest.mark.slow
 def test_an_actors_error_is_the_callers(cluster, lab, batch):
     """A sentence of the toolkit stays one, and the actor goes on."""
 
@@ -157,6 +160,7 @@ def test_an_actors_error_is_the_callers(cluster, lab, batch):
     engine.close()
 
 
+@pytest.mark.slow
 def test_a_node_with_other_code_is_refused_by_name(nodes, lab, monkeypatch, cluster):
     """As seen from a machine whose own code is another; the engine's own actors, of the same code, have passed."""
     monkeypatch.setattr(module, "code_digest", lambda: "0" * 64)
@@ -167,6 +171,7 @@ def test_a_node_with_other_code_is_refused_by_name(nodes, lab, monkeypatch, clus
     nodes.remove_node(node)
 
 
+@pytest.mark.slow
 def test_a_node_with_other_versions_is_refused_by_name(nodes, lab, monkeypatch, cluster):
     """As seen from a machine with another MuJoCo: the actor's own answer is what is compared."""
     monkeypatch.setattr(module, "recorded_versions", lambda: recorded_versions() | {"mujoco": "3.6.0"})
@@ -177,6 +182,7 @@ def test_a_node_with_other_versions_is_refused_by_name(nodes, lab, monkeypatch, 
     nodes.remove_node(node)
 
 
+@pytest.mark.slow
 def test_a_node_that_plays_other_bits_is_refused_by_name(cluster, task, monkeypatch):
     """Of a scene that is new to the cluster, before any of its episodes counts; the cluster's others were proven before."""
     monkeypatch.setattr(module, "numbers", lambda engine: "0" * 12)
@@ -223,6 +229,7 @@ def playing(cluster, lab, batch, strike):
         engine.close()
 
 
+@pytest.mark.slow
 def test_an_actor_killed_in_the_middle_changes_nothing(cluster, lab, batch, local, wait_for):
     """What it was given is played again by another one, and counted once."""
     before = cluster.lost
@@ -232,6 +239,7 @@ def test_an_actor_killed_in_the_middle_changes_nothing(cluster, lab, batch, loca
     wait_for(lambda: cluster.ready == 2, 300.0)
 
 
+@pytest.mark.slow
 def test_an_episode_with_which_actors_die_again_and_again_ends_the_run(cluster, lab, batch, monkeypatch, wait_for):
     monkeypatch.setattr(module, "ATTEMPTS", 1)
     with pytest.raises(ToolkitError, match="1 actors of the Ray cluster at .* were lost in turn with the episode of seed 1.*--resume"):
@@ -257,6 +265,7 @@ def test_a_node_removed_in_the_middle_changes_nothing(nodes, cluster, lab, batch
     assert len({remote.node for remote in cluster._held}) == 2
 
 
+@pytest.mark.slow
 def test_a_cluster_without_room_says_so(nodes, lab, cluster):
     """All processors are taken by the first cluster's actors."""
     with pytest.raises(ToolkitError, match=r"has had no processor free for an episode for 3 s; look at `ray status`"):

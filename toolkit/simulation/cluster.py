@@ -338,7 +338,14 @@ class Cluster:
     # ---- actors ------------------------------------------------------------------------------------------------
 
     def _start_thread(self, work: Callable[[], None]) -> None:
-        thread = threading.Thread(target=work, daemon=True)
+        def until_closed() -> None:
+            try:
+                work()
+            except Exception:
+                if not self._closed.is_set():  # else Ray was shut down under a question whose answer nobody waits for
+                    raise
+
+        thread = threading.Thread(target=until_closed, daemon=True)
         self._threads = [*(other for other in self._threads if other.is_alive()), thread]
         thread.start()
 
