@@ -3,6 +3,7 @@
 import socket
 import sys
 import threading
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -166,8 +167,8 @@ def test_a_node_with_other_code_is_refused_by_name(nodes, lab, monkeypatch, clus
     monkeypatch.setattr(module, "code_digest", lambda: "0" * 64)
     node = nodes.add_node(num_cpus=1, **SMALL)
     said = rf"node {socket.gethostname()} has code of the toolkit {code_digest()[:12]}, this machine 000000"
-    with pytest.raises(ToolkitError, match=said):
-        Cluster(nodes.address, actors=1).merged(lab)
+    with closing(Cluster(nodes.address, actors=1)) as other, pytest.raises(ToolkitError, match=said):
+        other.merged(lab)
     nodes.remove_node(node)
 
 
@@ -177,8 +178,8 @@ def test_a_node_with_other_versions_is_refused_by_name(nodes, lab, monkeypatch, 
     monkeypatch.setattr(module, "recorded_versions", lambda: recorded_versions() | {"mujoco": "3.6.0"})
     node = nodes.add_node(num_cpus=1, **SMALL)
     said = rf"node {socket.gethostname()} has mujoco {recorded_versions()['mujoco']}, this machine 3.6.0; install the same on all nodes"
-    with pytest.raises(ToolkitError, match=said):
-        Cluster(nodes.address, actors=1).merged(lab)
+    with closing(Cluster(nodes.address, actors=1)) as other, pytest.raises(ToolkitError, match=said):
+        other.merged(lab)
     nodes.remove_node(node)
 
 
@@ -268,5 +269,6 @@ def test_a_node_removed_in_the_middle_changes_nothing(nodes, cluster, lab, batch
 @pytest.mark.slow
 def test_a_cluster_without_room_says_so(nodes, lab, cluster):
     """All processors are taken by the first cluster's actors."""
-    with pytest.raises(ToolkitError, match=r"has had no processor free for an episode for 3 s; look at `ray status`"):
-        Cluster(nodes.address, start=3.0).merged(lab)
+    said = r"has had no processor free for an episode for 3 s; look at `ray status`"
+    with closing(Cluster(nodes.address, start=3.0)) as other, pytest.raises(ToolkitError, match=said):
+        other.merged(lab)
