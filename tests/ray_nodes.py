@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
@@ -19,6 +20,14 @@ except ToolkitError as absent:
 
 STORE = 80 * 2**20
 """Bytes of a node's object store, the least that Ray takes being some 75 MiB."""
+
+
+def assert_same(found, wanted):
+    """The episodes, in their order, bit for bit."""
+    assert [episode.seed for episode in found] == [episode.seed for episode in wanted]
+    for mine, theirs in zip(found, wanted, strict=True):
+        for name, value in vars(theirs).items():
+            np.testing.assert_array_equal(getattr(mine, name), value, err_msg=f"{name} of seed {theirs.seed}")
 
 
 def descendants(pid):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ray_nodes import ray
+from ray_nodes import assert_same, ray
 
 from robots import MODEL_ROBOTS, ROBOTS
 from tasks import MODEL_TASKS
@@ -73,13 +73,6 @@ def local(lab, batch):
     engine = RolloutEngine(lab.merged)
     yield engine.play(*batch)
     engine.close()
-
-
-def assert_same(found, wanted):
-    assert [episode.seed for episode in found] == [episode.seed for episode in wanted]
-    for mine, theirs in zip(found, wanted, strict=True):
-        for name, value in vars(theirs).items():
-            np.testing.assert_array_equal(getattr(mine, name), value, err_msg=f"{name} of seed {theirs.seed}")
 
 
 @pytest.mark.slow
@@ -161,26 +154,27 @@ def test_an_actors_error_is_the_callers(cluster, lab, batch):
     engine.close()
 
 
+def assert_refused(nodes, lab, said):
+    """A node that joins is no place for an actor, and the sentence says why."""
+    node = nodes.add_node(num_cpus=1, **SMALL)
+    with closing(Cluster(nodes.address, actors=1)) as other, pytest.raises(ToolkitError, match=said):
+        other.merged(lab)
+    nodes.remove_node(node)
+
+
 @pytest.mark.slow
 def test_a_node_with_other_code_is_refused_by_name(nodes, lab, monkeypatch, cluster):
     """As seen from a machine whose own code is another; the engine's own actors, of the same code, have passed."""
     monkeypatch.setattr(module, "code_digest", lambda: "0" * 64)
-    node = nodes.add_node(num_cpus=1, **SMALL)
-    said = rf"node {socket.gethostname()} has code of the toolkit {code_digest()[:12]}, this machine 000000"
-    with closing(Cluster(nodes.address, actors=1)) as other, pytest.raises(ToolkitError, match=said):
-        other.merged(lab)
-    nodes.remove_node(node)
+    assert_refused(nodes, lab, rf"node {socket.gethostname()} has code of the toolkit {code_digest()[:12]}, this machine 000000")
 
 
 @pytest.mark.slow
 def test_a_node_with_other_versions_is_refused_by_name(nodes, lab, monkeypatch, cluster):
     """As seen from a machine with another MuJoCo: the actor's own answer is what is compared."""
     monkeypatch.setattr(module, "recorded_versions", lambda: recorded_versions() | {"mujoco": "3.6.0"})
-    node = nodes.add_node(num_cpus=1, **SMALL)
-    said = rf"node {socket.gethostname()} has mujoco {recorded_versions()['mujoco']}, this machine 3.6.0; install the same on all nodes"
-    with closing(Cluster(nodes.address, actors=1)) as other, pytest.raises(ToolkitError, match=said):
-        other.merged(lab)
-    nodes.remove_node(node)
+    version = recorded_versions()["mujoco"]
+    assert_refused(nodes, lab, rf"node {socket.gethostname()} has mujoco {version}, this machine 3.6.0; install the same on all nodes")
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from ray_nodes import Nodes
+from ray_nodes import Nodes, assert_same
 from toys import CRAWL, CRAWLER_ROBOTS
 
 from toolkit.errors import ToolkitError
@@ -83,13 +83,6 @@ def playing(address, lab, after=3, strike=lambda remote: None, **settings):
         engine.close()
     finally:
         cluster.close()
-
-
-def assert_same(found, wanted):
-    assert [episode.seed for episode in found] == [episode.seed for episode in wanted]
-    for mine, theirs in zip(found, wanted, strict=True):
-        for name, value in vars(theirs).items():
-            np.testing.assert_array_equal(getattr(mine, name), value, err_msg=f"{name} of seed {theirs.seed}")
 
 
 def pid_of(cluster, remote):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from toolkit.learning.policy import GaussianPolicy, ValueFunction
     from toolkit.runs.run import Run
     from toolkit.simulation.cluster import Cluster
+    from toolkit.simulation.rollout import Engine
 
 
 def expert(
@@ -125,8 +126,10 @@ def expert(
     emit(card, json, "\n".join(lines))
 
 
-Training = Callable[["Run"], tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]]
-"""Trains within a run: the policy, its value function, and what its card says."""
+Learned = tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]
+"""The policy, its value function, and what its card says."""
+Training = Callable[["Run"], Learned]
+"""Trains within a run."""
 Shown = tuple[Path, float, bool]
 """Where demonstrations lie, their frame rate [Hz], and whether a run that has looked at them is resumed."""
 
@@ -142,7 +145,7 @@ def _hands_teach(
     if shown is not None and not shown[2]:
         Retargeter(shown[0], robot, shown[1])
 
-    def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
+    def train(run: "Run") -> Learned:
         watch = progress.recordings(task.object.name)
         teachers = None if shown is None else lambda: teachers_for(shown[0], robot, task, shown[1], watch)
         lab = make_lab(robot.name, [name for name in TARGETS if name != robot.name], task.name)
@@ -160,20 +163,13 @@ def _steps_teach(
     """The expert of a task on one model: taught by recorded steps, on the unmodified robot."""
     from toolkit.demonstrations.reading import read_demonstrations
     from toolkit.expert.training import imitate
-    from toolkit.simulation.rollout import NativeEngine
 
     if shown is None:
         raise ToolkitError(f"task {task.name} has no script that could teach; give --demos, a file of recorded steps "
                            "(docs/demonstrations.md)")
     recorded = read_demonstrations(shown[0], task)
 
-    def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
-        engine = NativeEngine(robot, task) if cluster is None else cluster.native(robot, task)
-        found = imitate(engine, config, recorded, progress.expert(config), run)
-        engine.close()
-        return found
-
-    return train
+    return _on_the_robot(robot, task, cluster, lambda engine, run: imitate(engine, config, recorded, progress.expert(config), run))
 
 
 def _practice_teaches(
@@ -181,15 +177,23 @@ def _practice_teaches(
 ) -> Training:
     """The expert of a task that has an easier one: it learns from nothing, on the unmodified robot."""
     from toolkit.expert.practice import PracticeConfig, practise
-    from toolkit.simulation.rollout import NativeEngine
 
     if shown is not None:
         raise ToolkitError(f"the expert of task {task.name} learns from nothing; leave out --demos {shown[0]}")
     how = PracticeConfig(updates=config.updates, seed=config.seed)
 
-    def train(run: "Run") -> tuple["GaussianPolicy", "ValueFunction", dict[str, Any]]:
+    return _on_the_robot(robot, task, cluster, lambda engine, run: practise(engine, task, how, progress.expert(how), run))
+
+
+def _on_the_robot(
+    robot: "ModelRobot", task: "ModelTask", cluster: "Cluster | None", learn: Callable[["Engine", "Run"], Learned]
+) -> Training:
+    """The training that ``learn`` is, on an engine of the unmodified robot, here or on the cluster."""
+    from toolkit.simulation.rollout import NativeEngine
+
+    def train(run: "Run") -> Learned:
         engine = NativeEngine(robot, task) if cluster is None else cluster.native(robot, task)
-        found = practise(engine, task, how, progress.expert(how), run)
+        found = learn(engine, run)
         engine.close()
         return found
 

@@ -400,9 +400,12 @@ def explored(task: Task, gains: bool) -> Explored:
         task: whose records.
         gains: also those of its entries. They are for conditions of a laboratory: what is seen late, or with noise, asks for another pace.
     """
+    offsets, responses = task.observation.numbers("explored"), task.action.numbers("explored")
+    if not gains:
+        return Explored(offsets, responses)
     records: tuple[tuple[Literal["observation", "action"], Record], ...] = (("observation", task.observation), ("action", task.action))
     found = [Gain(kind, record.slice(name), entry.gain) for kind, record in records for name, entry in record.entries.items() if entry.gain]
-    return Explored(task.observation.numbers("explored"), task.action.numbers("explored"), tuple(found) if gains else ())
+    return Explored(offsets, responses, tuple(found))
 
 
 def outside_playing(spent: dict[str, float]) -> float:
