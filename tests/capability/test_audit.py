@@ -9,7 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.capability.audit import LEADS, SIDES, Audit, Violation, Way, allowed, reserve, run_audit, verdict, violations, ways_of
+from toolkit.capability.audit import (
+    LEADS,
+    SIDES,
+    Audit,
+    Violation,
+    Way,
+    allowed,
+    pairs_on,
+    reserve,
+    run_audit,
+    verdict,
+    violations,
+    ways_of,
+)
 from toolkit.capability.bench import Capability
 from toolkit.capability.figure import save_audit
 from toolkit.errors import ToolkitError
@@ -158,3 +171,15 @@ def test_an_audit_of_too_few_robots_is_refused(arms):
 
 def test_a_violation_without_a_value_is_the_worst():
     assert Violation(0.5, "closing_steps", np.inf, (0.0, 10.0)).excess == np.inf
+
+
+def test_pairs_are_drawn_from_the_robots_of_the_tree():
+    """Every end lies on one of the ways, and longer ways are drawn as much oftener as they are longer."""
+    axis = np.eye(2)
+    ways = [Way("a", "b", np.zeros(2), 0.9 * axis[0]), Way("a", "c", np.zeros(2), 0.1 * axis[1])]
+    pairs = pairs_on(ways, 2000, np.random.default_rng(3))
+    ends = np.array([alpha for pair in pairs for alpha in (pair.first, pair.last)])
+    assert ((ends > 0.0).sum(1) == 1).all() and (ends <= [0.9, 0.1]).all()
+    assert (ends[:, 0] > 0.0).mean() == pytest.approx(0.9, abs=0.02)
+    assert np.median(ends[ends[:, 0] > 0.0, 0]) == pytest.approx(0.45, abs=0.03)
+    assert {pair.start.rsplit(maxsplit=1)[0] for pair in pairs} == {"a to b", "a to c"}

@@ -176,6 +176,16 @@ def ways_in(tree: dict[str, Any]) -> list[Way]:
     return [Way(edge["from"], edge["to"], nodes[edge["from"]], nodes[edge["to"]]) for edge in edges]
 
 
+def pairs_on(ways: Sequence[Way], count: int, generator: np.random.Generator) -> list[Way]:
+    """Straight ways between two robots each, drawn evenly by length (L1) from all robots of ``ways``."""
+    lengths = np.array([np.abs(way.last - way.first).sum() for way in ways])
+    ends = generator.choice(len(ways), (count, 2), p=lengths / lengths.sum())
+    shares = generator.random((count, 2))
+    drawn = [[(f"{ways[k].start} to {ways[k].end} {share:.1%}", ways[k].at(share)) for k, share in zip(*pair, strict=True)]
+             for pair in zip(ends, shares, strict=True)]
+    return [Way(first[0], last[0], first[1], last[1]) for first, last in drawn]
+
+
 def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, float] | None:
     """What the ends of a way allow of a quantity in between; None: an end has no value, or its script does not hold."""
     ends = [getattr(robot, quantity) for robot in (first, last)]

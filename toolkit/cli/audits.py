@@ -15,6 +15,8 @@ def audit(
     kind: Kind = "steiner",
     metric: Metric = "l1",
     run: Path | None = None,
+    pairs: int | None = None,
+    seed: int = 0,
     robots: int = 17,
     episodes: int = 4,
     bend: bool = True,
@@ -35,6 +37,8 @@ def audit(
         kind: evolution tree: steiner, geometric-median or independent paths.
         metric: distance between robots.
         run: audit the tree of this run instead.
+        pairs: in place of the edges, audit the straight ways between so many random pairs of robots on the tree.
+        seed: of the pairs.
         robots: evenly spaced per edge, its ends included.
         episodes: of the script, per grasp, on every fourth robot; 0: no script.
         bend: where a straight edge leads through worse robots, take it with one side of the grasp first, as a transfer does; it is no
@@ -45,8 +49,12 @@ def audit(
     """
     if robots < 2 or episodes < 0:
         raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
+    if pairs is not None and pairs < 1:
+        raise ToolkitError(f"an audit of pairs needs 1 pair or more; got {pairs}")
     find_pick(task if run is None else transfer_config(run)["task"])
-    from toolkit.capability.audit import QUANTITIES, run_audit, verdict, ways_in, ways_of
+    import numpy as np
+
+    from toolkit.capability.audit import QUANTITIES, pairs_on, run_audit, verdict, ways_in, ways_of
 
     with Progress("audit", quiet=json) as progress:
         if run is None:
@@ -55,7 +63,9 @@ def audit(
         else:
             stored = stored_run(run)
             merged, ways = merged_arms(stored.merged), ways_in(stored.tree())
-        progress.show("audit", f"{len(ways)} edges, {robots} robots each", 0, len(ways), now=True)
+        if pairs is not None:
+            ways = pairs_on(ways, pairs, np.random.default_rng(seed))
+        progress.show("audit", f"{len(ways)} {'edges' if pairs is None else 'pairs'}, {robots} robots each", 0, len(ways), now=True)
         seen = lambda name, done, total: progress.show("audit", name, done, total, now=True)  # noqa: E731
         edges = run_audit(merged, ways, seen, bend, robots=robots, episodes=episodes, causes=causes)
     content = {"edges": [edge.to_json() for edge in edges]}
