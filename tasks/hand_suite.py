@@ -62,6 +62,18 @@ NAILED = 0.01
 """Distance [m] of the nail's head from where it shall be."""
 NEAR = 0.1
 """Distance [m] of the ball from where it shall be."""
+LIFTED = 0.04
+"""Height [m] from which on ball or hammer counts as lifted."""
+PUSHED = 0.2
+"""Angle [rad] of a door that has begun to open."""
+NEARLY_NAILED = 0.02
+"""Distance [m] of the nail's head from where it shall be, at which the nail is nearly in."""
+NAIL_OUT = 0.101
+"""The same of a nail that is as far out as its joint allows, at most (in the easier scene)."""
+DROPPED = 0.05
+"""Height [m] of a hammer that lies on the table again."""
+NEARER = 0.05
+"""Distance [m] of the ball from where it shall be, at which it is paid most."""
 FALLEN = -0.05
 """Height [m] of a ball that has left the table, whose top is at 0: no hand reaches below."""
 
@@ -120,6 +132,11 @@ class _Scene(Scene):
         """Never: a hand may yet push door and nail."""
         return False
 
+    @staticmethod
+    def stages(data: mujoco.MjData) -> float:
+        """What Meta-Evolve's released code pays for a step that ends so, 0 or more, where it says sparse; see ``HandTask.staged``."""
+        raise NotImplementedError
+
 
 class DoorScene(_Scene):
     """A door with a latch, at a place that is drawn."""
@@ -146,6 +163,12 @@ class DoorScene(_Scene):
     def at_goal(self) -> bool:
         """Whether the door is open."""
         return bool(self.data.qpos[self._hinge] >= OPEN)
+
+    @staticmethod
+    def stages(data: mujoco.MjData) -> float:
+        """2 for a door that begins to open, 10 from AJAR on, 20 for one that is open."""
+        angle = data.joint("door_hinge").qpos[0]
+        return 2.0 * (angle > PUSHED) + 8.0 * (angle > AJAR) + 10.0 * (angle > OPEN)
 
 
 class HammerScene(_Scene):
@@ -175,6 +198,21 @@ class HammerScene(_Scene):
         """Whether the nail is in."""
         return bool(np.linalg.norm(self.data.site_xpos[self._nail] - self.data.site_xpos[self._goal]) < NAILED)
 
+    @staticmethod
+    def stages(data: mujoco.MjData) -> float:
+        """10 a metre of the nail's way, 2 for a lifted hammer, 25 for a nail that is nearly in, 75 more for one that is in, all but 10 of
+        them lost if the hammer was dropped; nothing while the hand touches the hammer's neck.
+
+        The released code pays -10 a metre of the way that is left and takes 120 for the touch. Here the nail's whole way is added to every
+        step, and what is below 0 is 0.
+        """
+        if _neck_touched(data):
+            return 0.0
+        left = float(np.linalg.norm(data.site("S_target").xpos - data.site("nail_goal").xpos))
+        hammer, tool = data.body("Object").xpos[2], data.site("tool").xpos[2]
+        paid = 10.0 * (NAIL_OUT - left) + 2.0 * (min(hammer, tool) > LIFTED) + 25.0 * (left < NEARLY_NAILED)
+        return max(paid + (75.0 - 90.0 * (hammer < DROPPED)) * (left < NAILED), 0.0)
+
 
 class RelocateScene(_Scene):
     """A ball on the table and a place in the air, both drawn."""
@@ -199,9 +237,25 @@ class RelocateScene(_Scene):
         """Whether the ball is where it shall be."""
         return bool(np.linalg.norm(self.data.xpos[self._ball] - self.data.site_xpos[self._target]) < NEAR)
 
+    @staticmethod
+    def stages(data: mujoco.MjData) -> float:
+        """1 for a lifted ball, 10 for one that is where it shall be, 20 more for one that is still nearer."""
+        ball = data.body("Object").xpos
+        apart = float(np.linalg.norm(ball - data.site("target").xpos))
+        return 1.0 * (ball[2] > LIFTED) + 10.0 * (apart < NEAR) + 20.0 * (apart < NEARER)
+
     def lost(self) -> bool:
         """Whether the ball has fallen off the table."""
         return bool(self.data.xpos[self._ball, 2] < FALLEN)
+
+
+def _neck_touched(data: mujoco.MjData) -> bool:
+    """Whether a shape of the hand that collides touches the hammer's neck."""
+    model = data.model
+    neck = model.geom("neck").id
+    pairs = data.contact.geom
+    others = pairs[(pairs == neck).any(axis=1)].sum(axis=1) - neck
+    return any(model.geom(int(other)).name.startswith("C_") for other in others)
 
 
 def _euler(xmat: np.ndarray) -> np.ndarray:
@@ -254,6 +308,9 @@ class HandTask(ModelTask):
         environment_class: of gymnasium-robotics, by its name.
         scene_class: reads and places what is in it.
         light: the easier scene of Meta-Evolve's released code, for comparison with it, named "<kind>-light".
+        staged: rewarded as that code does where it says sparse, for comparison with it, named "<kind>-staged" or "<kind>-light-staged":
+            every step by the stage that was reached (``stages`` of the scene), instead of 1 for the task's completion, which success
+            is in either case. As success ends an episode, whose later steps that code would have paid, its step is paid for them, too.
     """
 
     kind: str
@@ -261,6 +318,7 @@ class HandTask(ModelTask):
     environment_class: str
     scene_class: type[_Scene]
     light: bool = False
+    staged: bool = False
     horizon: int = HORIZON
     control_frequency: float = CONTROL_FREQUENCY
     substeps: int = SUBSTEPS
@@ -271,7 +329,18 @@ class HandTask(ModelTask):
     @property
     def name(self) -> str:
         """On the command line."""
-        return self.kind + ("-light" if self.light else "")
+        return self.kind + ("-light" if self.light else "") + ("-staged" if self.staged else "")
+
+    @property
+    def kin(self) -> tuple[str, ...]:
+        """The plain task."""
+        return (self.kind,)
+
+    def reward(self, data: mujoco.MjData, succeeded: bool, left: int) -> float:
+        """See Task, and ``staged``."""
+        if not self.staged:
+            return super().reward(data, succeeded, left)
+        return float(self.scene_class.stages(data)) * (1 + left * succeeded)
 
     @property
     def hold_steps(self) -> int:
@@ -370,6 +439,6 @@ _KINDS = (
     ),
 )
 CARDS: dict[str, HandTask] = {
-    task.name: task for light in (False, True)
-    for task in (HandTask(name, records, environment, scene, light) for name, records, environment, scene in _KINDS)
+    task.name: task for light in (False, True) for staged in (False, True)
+    for task in (HandTask(name, records, environment, scene, light, staged) for name, records, environment, scene in _KINDS)
 }

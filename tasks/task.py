@@ -54,10 +54,12 @@ class Task(ABC):
         control_frequency: policy rate [Hz].
         hold_steps: policy steps at the goal that make a success.
         consecutive: whether these have to follow one another.
+        kin: names of tasks with the same records, whose experts serve where this one has none of its own.
     """
 
     control_law: ClassVar[str]
     consecutive: ClassVar[bool] = True
+    kin: tuple[str, ...] = ()
     name: str
     observation: Record
     action: Record
@@ -68,6 +70,18 @@ class Task(ABC):
     def miss(self, observation: np.ndarray) -> float:
         """How far from success an episode ended that did not succeed, by its last observation (n_obs,); 0 where a task cannot tell."""
         return 0.0
+
+    def reward(self, data: "mujoco.MjData", succeeded: bool, left: int) -> float:
+        """Reward of a policy step, for its completion alone: 1 on the step that succeeds, 0 on every other.
+
+        A task that pays more must never pay less than 0, which is what a simulation that blew up gets.
+
+        Args:
+            data: of the scene, as the step left it.
+            succeeded: whether this step completed the task, which ends the episode.
+            left: policy steps that the horizon would still have had.
+        """
+        return float(succeeded)
 
     def judge(self) -> Judge:
         """A judge for one episode."""

@@ -66,6 +66,19 @@ def test_a_scripted_expert_goes_before_a_recorded_one_and_the_task_before_its_wi
     assert shipped_experts() == sorted(order) and {shipped_pair(name)[1] for name in order} == {"cup", "cup-wide"}
 
 
+def test_the_expert_of_a_task_serves_its_variants_that_have_none(tmp_path, monkeypatch):
+    plain, lighter = MODEL_TASKS["door"], MODEL_TASKS["door-light-staged"]
+    served = load_expert("adroit-free", lighter)[0]
+    np.testing.assert_array_equal(served.parameters, load_expert("adroit-free", plain)[0].parameters)
+    monkeypatch.setattr("toolkit.expert.shelf.SHIPPED", tmp_path)
+    with pytest.raises(ToolkitError, match="task 'door-light-staged'"):
+        load_expert("adroit-free", lighter)
+    for seed, task in enumerate((plain, lighter)):
+        policy, value = new_learner(task, seed)
+        save_expert(policy, value, tmp_path, f"adroit-free-{task.name}", {})
+        np.testing.assert_array_equal(load_expert("adroit-free", lighter)[0].parameters, policy.parameters)
+
+
 def test_a_pair_of_which_half_is_missing_is_refused(tmp_path, monkeypatch):
     policy, value = new_learner(TASKS["061_foam_brick"], 0)
     save_expert(policy, value, tmp_path, "arm-cup", {})

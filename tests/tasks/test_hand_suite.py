@@ -10,11 +10,14 @@ import pytest
 
 from robots import MODEL_ROBOTS
 from tasks.hand_suite import CARDS, FALLEN, HOLD_STEPS, NAILED, OPEN
+from toolkit.simulation.actuators import native_model_plant
+from toolkit.simulation.rollout import play
 
 SOURCE = MODEL_ROBOTS["adroit-free"]
 IDS = {"door": "AdroitHandDoorSparse-v1", "hammer": "AdroitHandHammerSparse-v1", "relocate": "AdroitHandRelocateSparse-v1"}
 every_task = pytest.mark.parametrize("task", [CARDS[name] for name in IDS], ids=list(IDS))
-every_variant = pytest.mark.parametrize("task", CARDS.values(), ids=list(CARDS))
+SCENES = {name: task for name, task in CARDS.items() if not task.staged}
+every_variant = pytest.mark.parametrize("task", SCENES.values(), ids=list(SCENES))
 every_hand = pytest.mark.parametrize("name", [name for name, robot in MODEL_ROBOTS.items() if robot.family is SOURCE.family])
 
 
@@ -153,6 +156,109 @@ def test_the_light_variant_is_lighter_and_nearer():
         begin(data, scene, seed)
         heights.append(model.body("nail_board").pos[2])
     assert 0.1 <= min(heights) < 0.11 and 0.14 < max(heights) <= 0.15
+
+
+# -- the staged reward ---------------------------------------------------------------------------------------
+
+
+def ways(kind, model):
+    """Joints, and rows of values for them that lead through the task's stages."""
+    if kind == "door":
+        return ["door_hinge"], np.linspace(0.0, 1.5, 31)[:, None]
+    if kind == "hammer":
+        # The hammer lies turned about x: its y points up. Lifted, it is aside of the hand.
+        places = [(depth, *place) for place in ((0.0, 0.0), (0.6, 0.3)) for depth in np.linspace(0.0, 0.09, 16)]
+        return ["nail_dir", "OBJTx", "OBJTy"], np.array(places)
+    wanted = model.site("target").pos - model.body("Object").pos
+    return ["OBJTx", "OBJTy", "OBJTz"], np.linspace(0.0, 1.0, 31)[:, None] * wanted
+
+
+@every_task
+def test_a_stage_is_paid_as_gymnasium_robotics_pays_it(task):
+    """Its dense reward, less what it pays and takes for distances and speeds by its own observation, is what the stages pay."""
+    gymnasium.register_envs(gymnasium_robotics)
+    env = gymnasium.make(IDS[task.kind], reward_type="dense").unwrapped
+    env.reset(seed=0)
+    scene_class = type(task.scene(env.model, env.data))
+    joints, rows = ways(task.kind, env.model)
+    paid = []
+    for row in rows:
+        for joint, value in zip(joints, row, strict=True):
+            env.data.joint(joint).qpos, env.data.joint(joint).qvel = value, 0.0
+        seen, reward, *_ = env.step(np.zeros(env.action_space.shape))
+        data, norm = env.data, np.linalg.norm
+        if task.kind == "door":
+            shaped = 0.1 * norm(seen[35:38]) - 0.1 * (data.joint("door_hinge").qpos[0] - 1.57) ** 2 - 1e-5 * (data.qvel**2).sum()
+        elif task.kind == "hammer":
+            nail = data.site("S_target").xpos
+            shaped = 0.1 * norm(data.site("S_grasp").xpos - data.body("Object").xpos) - norm(data.site("tool").xpos - nail)
+            shaped -= 1e-2 * norm(data.qvel) + 10 * 0.101  # the nail's way, which the stages add
+            fell = norm(nail - data.site("nail_goal").xpos) < 0.01 and data.body("Object").xpos[2] < 0.05
+            shaped += 90.0 * fell  # gymnasium-robotics has no such penalty
+        else:
+            shaped = 0.1 * norm(seen[30:33])
+            if data.body("Object").xpos[2] > 0.04:
+                shaped -= 0.5 * norm(seen[33:36]) + 0.5 * norm(seen[36:39])
+        paid.append(scene_class.stages(data))
+        assert paid[-1] == pytest.approx(float(np.squeeze(reward)) - float(shaped), abs=1e-9), f"{task.name} at {row}"
+    bonuses = {"door": {0, 2, 10, 20}, "hammer": {0, 2, 11, 26, 28, 103}, "relocate": {0, 1, 11, 31}}[task.kind]
+    assert bonuses <= {round(value) for value in paid}, f"stages of {task.name} that were reached: {sorted(set(paid))}"
+
+
+def test_a_hammer_that_is_held_by_its_neck_earns_nothing():
+    """Where that is so is told by distances between shapes, not by contacts."""
+    model, data, scene = played(CARDS["hammer-light-staged"])
+    shapes = [g for g in range(model.ngeom) if model.geom(g).name.startswith("C_")]
+    neck, found = model.geom("neck").id, {True: 0, False: 0}
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        begin(data, scene, 0)
+        aside = data.site("S_grasp").xpos + rng.uniform(-0.1, 0.1, 3) - data.geom("neck").xpos
+        aside = data.body("Object").xmat.reshape(3, 3).T @ aside
+        for axis, name in zip(aside, ("OBJTx", "OBJTy", "OBJTz"), strict=True):
+            data.joint(name).qpos += axis
+        mujoco.mj_forward(model, data)
+        near = min(mujoco.mj_geomDistance(model, data, neck, shape, 1.0, np.zeros(6)) for shape in shapes)
+        if abs(near) < 1e-4:
+            continue
+        found[near < 0] += 1
+        assert (scene.stages(data) == 0.0) == (near < 0), f"{near:.4f} m apart"
+    assert min(found.values()) >= 5, found
+
+
+OPENING = (0.1, 0.5, 1.1, 1.2, 1.45)
+
+
+def opened(name, angles=OPENING):
+    """An episode of a task in which the door is put to each of the angles in turn."""
+    plant = native_model_plant(SOURCE, CARDS[name])
+    steps = iter(angles)
+
+    def act(observation, rng):
+        angle = next(steps, None)
+        if angle is None:
+            return np.full(plant.model.nu, np.nan)
+        plant.data.joint("door_hinge").qpos, plant.data.joint("door_hinge").qvel = angle, 0.0
+        return np.zeros(plant.model.nu)
+
+    return play(plant, act, 0, np.zeros(1))
+
+
+def test_stages_change_the_reward_alone():
+    """The same episode, ended by the same success; its step is paid for all those that the released code would have played and paid."""
+    plain, staged = opened("door"), opened("door-staged")
+    np.testing.assert_array_equal(plain.observations, staged.observations)
+    assert plain.success and staged.success and staged.terminated and plain.steps == staged.steps == len(OPENING)
+    assert plain.rewards.tolist() == [0, 0, 0, 0, 1]
+    stages = [0, 2, 10, 10, 20]
+    assert staged.rewards.tolist() == [*stages[:-1], stages[-1] * (CARDS["door"].horizon - len(OPENING) + 1)]
+    assert staged.total_reward == sum(stages) + 20 * (CARDS["door"].horizon - len(OPENING))
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_what_blows_up_is_paid_for_nothing():
+    episode = opened("door-staged", OPENING[:3])
+    assert episode.diverged and episode.rewards.tolist() == [0, 2, 10, 0] and episode.total_reward == 0.0
 
 
 # -- records -------------------------------------------------------------------------------------------------

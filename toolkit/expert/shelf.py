@@ -65,7 +65,7 @@ def taught_by_hands(source: str, task: str) -> str | None:
 
 
 def load_expert(source: str, task: Task, name: str | None = None) -> tuple[GaussianPolicy, ValueFunction]:
-    """The expert of a source robot and a task.
+    """The expert of a source robot and a task, or of the task's nearest kin that has one.
 
     Args:
         source, task: for which one is shipped.
@@ -75,7 +75,8 @@ def load_expert(source: str, task: Task, name: str | None = None) -> tuple[Gauss
         ToolkitError: there is none; the sentence gives the command that trains one.
     """
     folder = SHIPPED if name is None or name in shipped_experts() else Path()
-    policy_file, value_file = expert_files(source, task.name) if name is None else (
+    served = next((known for known in (task.name, *task.kin) if expert_files(source, known)[0].is_file()), task.name)
+    policy_file, value_file = expert_files(source, served) if name is None else (
         folder / f"{name}{POLICY_FILE}", folder / f"{name}.value.safetensors")
     if name is not None and not policy_file.is_file():
         raise ToolkitError(

@@ -54,8 +54,8 @@ class LastStep(Watcher):
 def play(plant: Drivable, actor: Actor, seed: int, alpha: np.ndarray, watcher: Watcher | None = None) -> Episode:
     """One episode.
 
-    The seed fixes the start and the actor's noise. It ends with success (the goal met for the task's hold_steps; reward 1 on that step, 0
-    on every other), where success has become impossible, with a diverged simulation (a failure, never rewarded), or at the horizon.
+    The seed fixes the start and the actor's noise. It ends with success (the goal met for the task's hold_steps), where success has become
+    impossible, with a diverged simulation (a failure, whose last step is not rewarded), or at the horizon. Rewards are the task's.
 
     Args:
         plant: the robot.
@@ -102,7 +102,8 @@ def play_on(
         out.diverged = plant.diverged or not all_finite(action, observation)
         out.success = not out.diverged and judge.tell(plant.at_goal)
         out.terminated = out.success or out.diverged or plant.lost
-        out.rewards.append(float(out.success))
+        left = steps - len(out.rewards) - 1
+        out.rewards.append(0.0 if out.diverged else plant.task.reward(plant.data, out.success, left))
     out.observation = observation
     told.ended(plant, out.diverged)
     return out
