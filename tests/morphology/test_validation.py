@@ -206,6 +206,11 @@ def test_other_mistakes_are_named(robot, sentence):
     only_finding(robot, sentence)
 
 
+def test_a_gripper_without_a_finger_is_refused():
+    robot = with_gripper(robosuite_type="WipingGripper", joints={}, targets={}, welded={})
+    only_finding(robot, "gripper panda_gripper: its model drives no joint, so no finger closes on an object; take one whose fingers have")
+
+
 def test_a_slide_cannot_play_a_hinge():
     joints, targets = {"FFJ2": "finger_joint1", "THS": "finger_joint2"}, {"FFJ2": (0.04, 0.0), "THS": (-0.04, 0.0)}
     found = findings(with_gripper(joints=joints, targets=targets))

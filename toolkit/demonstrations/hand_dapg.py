@@ -286,7 +286,8 @@ def read_hand_dapg(path: Path, task: Task) -> Recorded:
                            "arrays are read") from None
     except _DAMAGED as error:
         why = str(error).split("\n")[0][:80] or type(error).__name__
-        raise ToolkitError(f"{path} is no whole pickle ({why}); fetch it again") from None
+        raise ToolkitError(f"{path} is neither an .npz file nor a whole pickle ({why}); fetch it again, or write it as "
+                           "docs/demonstrations.md says") from None
     return joined(path, task, _episodes(path, found))
 
 

@@ -8,6 +8,7 @@ from tasks.pick import PickTask
 from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
+from toolkit.io.quoting import told
 from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.family import FamilySpace, MergedModel
 from toolkit.morphology.matching import match
@@ -32,10 +33,12 @@ def check_players(robots: Sequence[System], task: Task) -> None:
     """Refuse a robot that cannot play a task: an arm where a family plays, another family, a hand without an arm at the table."""
     for robot in robots:
         if isinstance(task, ModelTask):
-            if not isinstance(robot, ModelRobot) or robot.family.name != task.family:
-                raise ToolkitError(f"robot {robot.name!r} cannot play task {task.name!r}, which is for robots of the family {task.family}")
-        elif not isinstance(robot, Robot):
-            raise ToolkitError(f"robot {robot.name!r} cannot play task {task.name!r}, which is for arms with grippers")
+            plays, players = isinstance(robot, ModelRobot) and robot.family.name == task.family, f"robots of the family {task.family}"
+        else:
+            plays, players = isinstance(robot, Robot), "arms with grippers"
+        if not plays:
+            raise ToolkitError(f"robot {robot.name!r} cannot play task {task.name!r}, which is for {players}; see who plays what: "
+                               f"{told('robots')}")
 
 
 class Lab:

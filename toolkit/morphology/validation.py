@@ -198,6 +198,8 @@ def _of_the_gripper(robot: Robot, model: MujocoXML) -> Iterator[str]:
     for role, body in card.welded.items():
         if body not in bodies:
             yield f"{label}: role {role} is welded to body {body!r}, which its model has not without joints; it has {', '.join(bodies)}"
+    if not card.targets and not len(model.actuator):
+        yield f"{label}: its model drives no joint, so no finger closes on an object; take one whose fingers have a <position> servo each"
     yield from _of_the_actuators(card.targets, {joint: role for role, joint in card.joints.items()}, label, model)
 
 
