@@ -251,7 +251,8 @@ def transfer(
         source: the robot that the expert was trained on.
         targets: where the policy should go; default: kinova3 and iiwa for the preset quick, else jaco, kinova3 and iiwa; for a task of
             hands or ants, all others of the source's family.
-        task: what it does; "<object>-wide" starts within 5 cm and 30 degrees instead of 1 cm.
+        task: what it does; "<object>-wide" starts within 5 cm and 30 degrees instead of 1 cm; door, hammer and relocate are for --source
+            adroit-free, ant-maze is for --source ant.
         kind: evolution tree: steiner, geometric-median or independent paths; asking: the shortest tree, left where a robot reached
             is a better start, as looks tell; direct trains on the targets without evolution.
         metric: distance between robots.
@@ -263,7 +264,7 @@ def transfer(
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
         expert: the source's policy: a shipped expert's name (as adroit-061_foam_brick, which grasps by a script and needs no
             evolution), or the files of your own without their endings; default: the one that learned the task from recordings of hands,
-            where there is one.
+            where there is one, else the shipped one.
         learner: npg (the natural policy gradient on the weights alone, as in the paper), or search: first an offset of what the policy
             sees, held for an episode, and the weights where that brings no more; default: the preset's.
         exploration: standard deviation of the action's noise when the transfer begins; default: the expert's own.
