@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # No deadlines: they would time the first call's compilation.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
-pytest.register_assert_rewrite("command_line", "toy_transfer")  # its asserts say what differs, as those of a test do
+pytest.register_assert_rewrite("command_line", "toy_transfer", "toy_trees")  # its asserts say what differs, as those of a test do
 logging.getLogger("robosuite_logs").addFilter(lambda record: False)  # robosuite warns of parts that no arm here has
 
 
