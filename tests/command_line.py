@@ -12,6 +12,14 @@ COMMANDS = (
     "robots", "match", "tree", "audit", "expert", "transfer", "evaluate", "view", "report", "morph", "export", "verify", "stress",
     "deploy", "twin", "doctor", "recordings", "bench",
 )
+NAMES = (
+    "a[/right]", "a[left]", "[bold red]x[/]", "[link=file:///etc]x[/link]", "a|b", "**a**", "_a_",
+    "<b>a</b>", "<span onmouseover=x>a</span>",
+    "a&amp;b", "a$b$", "$x^$", "$\\frac{", "a\\b", "a`b`", "[a](http://b)", "a b", "'; rm -rf x; '", '"', "$(touch pwned)",
+    "a\x1b[31mb", "a\tb",
+    "a\nb", "\u202eabc", "\u00e4\u6f22", "%s{x}", "#1", "-x", "~", "*",
+)
+"""Of robots, runs and files, that a terminal, a page, a picture or a shell could take for something else."""
 POINTS = {
     "source": {"name": "hand", "alpha": [0.0, 0.0, 0.0]},
     "targets": [{"name": "left", "alpha": [0.8, 0.6, 0.2]}, {"name": "right", "alpha": [0.8, 0.2, 0.9]}],

@@ -6,12 +6,12 @@ Places: terminal tables, progress and sentences, HTML, Markdown, pictures, file 
 import json
 import re
 import shlex
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import NAMES
 
 from toolkit.benchmarks.fuzz import _report_of, _run_of
 from toolkit.benchmarks.results import read_result, write_results
@@ -21,16 +21,8 @@ from toolkit.errors import ToolkitError
 from toolkit.evolution import Terminal, evolution_tree, plot_tree
 from toolkit.inspection.drawn_tree import Plan
 from toolkit.inspection.report import figures, page
-from toolkit.io.quoting import markdown, plain, told
+from toolkit.io.quoting import markdown, plain
 from toolkit.transfer.pipeline import summary
-
-NAMES = (
-    "a[/right]", "a[left]", "[bold red]x[/]", "[link=file:///etc]x[/link]", "a|b", "**a**", "_a_",
-    "<b>a</b>", "<span onmouseover=x>a</span>",
-    "a&amp;b", "a$b$", "$x^$", "$\\frac{", "a\\b", "a`b`", "[a](http://b)", "a b", "'; rm -rf x; '", '"', "$(touch pwned)",
-    "a\x1b[31mb", "a\tb",
-    "a\nb", "\u202eabc", "\u00e4\u6f22", "%s{x}", "#1", "-x", "~", "*",
-)
 
 
 def points(tmp_path, *names):
@@ -159,17 +151,6 @@ def test_pictures_take_a_dollar_for_a_dollar(tmp_path, name):
 
 
 # -- shell lines and file names ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if "\0" not in name])
-def test_a_line_that_is_printed_can_be_typed(tmp_path, name):
-    line = told("view", name, "--rebuild")
-    assert shlex.split(line)[1:] == ["view", name, "--rebuild"]
-    said = line.removeprefix("meta-evolve view ").removesuffix(" --rebuild")
-    done = subprocess.run(["/bin/sh", "-c", f"printf '%s' {said}"], capture_output=True, cwd=tmp_path)
-    assert done.stdout.decode() == name or name.startswith("-")
-    assert not (tmp_path / "pwned").exists()
-    assert told("view", Path("-x")).endswith(" ./-x"), "a path is no option"
 
 
 def test_the_commands_print_quoted_lines(tmp_path, monkeypatch, capsys):

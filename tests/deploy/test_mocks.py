@@ -23,11 +23,6 @@ PLAYED = ("nothing", "nothing new comes, nor a stamp", "frozen but for encoder n
 """Beside the layers stamp and vendor; `bench faults --driver NAME` plays all."""
 
 
-@pytest.fixture(scope="module")
-def bundle():
-    return load_bundle("kinova3")
-
-
 def unmet(found):
     return [trial for trial in found if not trial.met]
 

@@ -18,7 +18,6 @@ from toolkit import cli
 from toolkit.cli import main
 from toolkit.errors import ToolkitError
 from toolkit.io import claims
-from toolkit.io.atomic import write_atomically
 from toolkit.io.claims import LOCK, claim, claim_file, give_up, is_claimed
 from toolkit.runs.run import Run
 
@@ -167,13 +166,6 @@ def test_the_recording_of_a_running_transfer_is_not_made_anew(tmp_path, monkeypa
         holder.wait()
     assert inspection._recording(tmp_path / "r", True, None) == tmp_path / "r" / "recording.rrd"
     assert not is_claimed(tmp_path / "r")
-
-
-def test_an_atomic_write_leaves_nothing_behind(tmp_path):
-    (tmp_path / "a").mkdir()
-    with pytest.raises(OSError):
-        write_atomically(tmp_path / "a", b"x")
-    assert [file.name for file in tmp_path.iterdir()] == ["a"]
 
 
 # -- starts that fail ----------------------------------------------------------------------------------------

@@ -1,7 +1,12 @@
 """What a phase leaves behind is enough to play its episodes again, bit by bit."""
 
+import json
+import struct
+
+import mujoco
 import numpy as np
 import pytest
+from damaged_files import tensors_with
 
 from tasks import TASKS
 from toolkit.errors import ToolkitError
@@ -10,7 +15,7 @@ from toolkit.inspection.trajectory import contacts_of, replay
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Directions, Explored
 from toolkit.learning.policy import MeanActor
-from toolkit.runs.phases import FOLDER, ROLES, Phase, PhaseRecorder, load_phase, load_phases, score
+from toolkit.runs.phases import FOLDER, ROLES, KeptEpisode, Phase, PhaseRecorder, landmarks, load_phase, load_phases, score
 from toolkit.simulation.laws import merged_plant
 from toolkit.simulation.rollout import play
 
@@ -131,8 +136,6 @@ def test_a_film_is_the_episode_again(pair, policy):
 
 
 def test_contacts_push_a_resting_box_up():
-    import mujoco
-
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
     box = spec.worldbody.add_body(name="box", pos=[0, 0, 0.05])
@@ -144,3 +147,44 @@ def test_contacts_push_a_resting_box_up():
     points, forces, moving = contacts_of(model, data, model.body("box").id)
     assert len(points) == 4 and not moving.any() and np.abs(points[:, 2]).max() < 1e-3
     np.testing.assert_allclose(forces.sum(axis=0), [0, 0, 2.0 * 9.81], atol=1e-3)
+
+
+@pytest.mark.parametrize("change", [
+    {"takes": "x"}, {"takes": [1]}, {"number": "0"}, {"targets": "ab"}, {"path": "../../elsewhere"}, {"stage": 3}, {"more": 1},
+    {"takes": [{"policy": 10**9}]}, {"takes": [{"policy": -1}]}, {"takes": [{"roles": ["king"]}]}, {"takes": [{"roles": []}]},
+    {"takes": [{"score": None}]}, {"takes": [{"noise": "yes"}]},
+])
+def test_a_phase_that_says_what_cannot_be(tmp_path, change):
+    """Opened, one of these asked for a billion policies, another would have been written outside the run folder."""
+    network = {"parameters": np.zeros(4), "shift": np.zeros(2), "scale": np.ones(2)}
+    kept = KeptEpisode(0, False, True, False, 9, 1.1, 0, 0, np.zeros(3), ["last"])
+    phase = Phase("path 1", 0, "evolve", ["a"], np.zeros(3), None, [network], [kept])
+    phase.save(tmp_path)
+    file = tmp_path / "phases" / f"{phase.name}.safetensors"
+    content = file.read_bytes()
+    size = struct.unpack("<Q", content[:8])[0]
+    header = json.loads(content[8 : 8 + size])
+    state = json.loads(header["__metadata__"]["state"])
+    takes = change.get("takes")
+    if isinstance(takes, list) and isinstance(takes[0], dict):
+        state["takes"][0] |= takes[0]
+    else:
+        state |= change
+    header["__metadata__"]["state"] = json.dumps(state)
+    tensors_with(file, header, content[8 + size :])
+    with pytest.raises(ToolkitError, match="not a phase|damaged"):
+        load_phase(file)
+
+
+def test_landmarks_are_of_the_whole_path():
+    def phase(path, number, episodes):
+        return Phase(path, number, "evolve", ["t"], np.zeros(1), None, [], episodes)
+
+    def one_kept(seed, score, *roles):
+        return KeptEpisode(seed, False, score > 0, False, 9, score, 0, 0, np.zeros(1), list(roles))
+
+    one = phase("path 1", 0, [one_kept(1, -0.2, "first", "failure", "worst"), one_kept(2, 1.1, "best", "last")])
+    two = phase("path 1", 1, [one_kept(3, -0.9, "first", "worst", "failure"), one_kept(4, 1.5, "best"), one_kept(5, 1.2, "last")])
+    three = phase("path 2", 0, [one_kept(6, 1.0, "first", "best", "worst", "last")])
+    kept = landmarks([(each, t) for each in (one, two, three) for t in each.episodes])
+    assert [t.seed for _, t in kept] == [1, 3, 4, 5, 6], "first and first failure, worst, best, last; of the other path its only one"
