@@ -1,6 +1,5 @@
 """Demonstrations from files: both layouts are read to the number, and none of their mistakes passes or runs."""
 
-import io
 import os
 import pickle
 import struct
@@ -9,34 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded_steps import DOOR, episodes, recorded, refusal
 
 from tasks.hand_suite import CARDS
 from toolkit.demonstrations.hand_dapg import read_hand_dapg
 from toolkit.demonstrations.reading import read_demonstrations
-from toolkit.demonstrations.recorded import Recorded, save_recorded
+from toolkit.demonstrations.recorded import save_recorded
 from toolkit.errors import ToolkitError
-
-DOOR = CARDS["door"]
-
-
-def episodes(task=DOOR, count=3, steps=5):
-    rng = np.random.default_rng(0)
-    return [{"observations": rng.standard_normal((steps + k, len(task.observation.names))),
-             "actions": rng.standard_normal((steps + k, len(task.action.names))), "rewards": rng.standard_normal(steps + k),
-             "init_state_dict": {"qpos": rng.standard_normal(30), "door_body_pos": np.float64(0.5)}}
-            for k in range(count)]
 
 
 def written(path, content, protocol=2):
     path.write_bytes(pickle.dumps(content, protocol))
     return path
-
-
-def refusal(path, task=DOOR):
-    with pytest.raises(ToolkitError) as caught:
-        read_demonstrations(path, task)
-    assert "\n" not in str(caught.value) and str(caught.value).startswith(str(path)), caught.value
-    return str(caught.value)
 
 
 @pytest.mark.parametrize("protocol", range(2, pickle.HIGHEST_PROTOCOL + 1))
@@ -151,44 +134,3 @@ def test_no_bytes_bring_the_reader_down(tmp_path_factory, content):
             read_demonstrations(path, DOOR)
         except ToolkitError as error:
             assert "\n" not in str(error)
-
-
-# -- the toolkit's own layout --------------------------------------------------------------------------------
-
-
-def recorded():
-    shown = episodes()
-    joined = {key: np.concatenate([episode[key] for episode in shown]) for key in ("observations", "actions")}
-    return Recorded(joined["observations"], joined["actions"], np.array([5, 6, 7]))
-
-
-def test_what_is_saved_is_read(tmp_path):
-    save_recorded(tmp_path / "door.npz", DOOR, recorded())
-    back = read_demonstrations(tmp_path / "door.npz", DOOR)
-    np.testing.assert_array_equal(back.observations, recorded().observations.astype(np.float32))
-    np.testing.assert_array_equal(back.actions, recorded().actions.astype(np.float32))
-    assert [len(seen) for seen, _ in back.episodes()] == [5, 6, 7]
-
-
-def resaved(path, **changes):
-    save_recorded(path, DOOR, recorded())
-    with np.load(path) as arrays:
-        content = dict(arrays) | changes
-    buffer = io.BytesIO()
-    np.savez(buffer, **{key: value for key, value in content.items() if value is not None})
-    path.write_bytes(buffer.getvalue())
-    return path
-
-
-@pytest.mark.parametrize(("changes", "why"), [
-    ({"actions": None}, "actions: expected this key"),
-    ({"lengths": np.array([5, 6, 8])}, "its lengths add up to 19 steps, but it holds 18 observations and 18 actions"),
-    ({"lengths": np.array([19, -1])}, "its lengths add up to"),
-    ({"lengths": np.array([], int)}, "its lengths add up to 0 steps"),
-    ({"observations": np.array([{}] * 18)}, "observations: expected dtype float32 or float64, found object"),
-    ({"observations": np.full((18, 39), np.inf)}, "observations[0, 0] of episode 0 is inf"),
-    ({"action_names": np.array(DOOR.action.names[::-1])}, "'servo/THJ0' where 'servo/ARTz' belongs"),
-    ({"action_names": np.array(DOOR.action.names[:-1])}, "27 where 28 belongs"),
-])
-def test_mistakes_in_a_file_are_named(tmp_path, changes, why):
-    assert why in refusal(resaved(tmp_path / "door.npz", **changes))

@@ -1,8 +1,10 @@
-"""What is read back from a recording is what the run did and what MuJoCo says."""
+"""What is read back from a recording is what the run did and what MuJoCo says.
+
+Pages, excerpts, films and the viewer are tried together on one run that is played and drawn here: a file to itself would draw it again.
+"""
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,20 +12,20 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from rerun_rows import entities
 from scipy.spatial.transform import Rotation
 
 from tasks import TASKS
 from toolkit.errors import ToolkitError
 from toolkit.expert.shelf import load_expert
-from toolkit.inspection.drawn_tree import Plan, matrix
+from toolkit.inspection.drawn_tree import matrix
 from toolkit.inspection.recording import excerpt, learning, recordings, rollouts, viewer
 from toolkit.inspection.recording.recorder import SHARE, RunRecorder
 from toolkit.inspection.recording.scene import Scene
 from toolkit.inspection.recording.stream import Stream
-from toolkit.inspection.report.figures import tree_figure
 from toolkit.inspection.visual import AT_THE_TABLE, visual_of
 from toolkit.learning.policy import MeanActor
-from toolkit.runs.phases import KeptEpisode, Phase, PhaseRecorder, landmarks, load_phases
+from toolkit.runs.phases import PhaseRecorder, landmarks, load_phases
 from toolkit.runs.run import Run
 from toolkit.simulation.laws import merged_plant, native_plant
 from toolkit.simulation.rollout import play
@@ -78,15 +80,6 @@ def rebuilt(stored):
     """(file, cost) of the run's recording."""
     cost = recordings.rebuild(stored)
     return stored.folder / "recording.rrd", cost
-
-
-def entities(path):
-    """Entity -> its rows, each a dictionary of what is not empty; the layout's left out."""
-    rows = {}
-    for chunk in viewer.reader_of(path).stream():
-        for row in chunk.to_record_batch().to_pylist():
-            rows.setdefault(chunk.entity_path, []).append({key: value for key, value in row.items() if value is not None})
-    return rows
 
 
 @pytest.fixture(scope="module")
@@ -224,42 +217,6 @@ def test_a_running_transfer_spends_at_most_its_share(tmp_path, stored):
     assert "/learning/success" in told
     captions = [row["TextDocument:text"][0] for row in told["/signals/caption"]]
     assert any("first" in text for text in captions) and any("last" in text for text in captions)
-
-
-def test_landmarks_are_of_the_whole_path():
-    def phase(path, number, episodes):
-        return Phase(path, number, "evolve", ["t"], np.zeros(1), None, [], episodes)
-
-    def one_kept(seed, score, *roles):
-        return KeptEpisode(seed, False, score > 0, False, 9, score, 0, 0, np.zeros(1), list(roles))
-
-    one = phase("path 1", 0, [one_kept(1, -0.2, "first", "failure", "worst"), one_kept(2, 1.1, "best", "last")])
-    two = phase("path 1", 1, [one_kept(3, -0.9, "first", "worst", "failure"), one_kept(4, 1.5, "best"), one_kept(5, 1.2, "last")])
-    three = phase("path 2", 0, [one_kept(6, 1.0, "first", "best", "worst", "last")])
-    kept = landmarks([(each, t) for each in (one, two, three) for t in each.episodes])
-    assert [t.seed for _, t in kept] == [1, 3, 4, 5, 6], "first and first failure, worst, best, last; of the other path its only one"
-
-
-def test_what_stands_still_in_a_gif_is_the_same_in_every_picture(tmp_path):
-    """A wall shaded softly, and a square that crosses it, changing its colour: with a palette per picture the wall would flicker."""
-    from PIL import Image, ImageSequence
-
-    from toolkit.inspection.report import video
-
-    wall = np.stack([np.add.outer(np.linspace(60, 200, 540), np.linspace(0, 50, 720))] * 3, axis=2).astype(np.uint8)
-
-    def pictures():
-        for k in range(30):
-            picture = wall.copy()
-            picture[400:460, 20 * k : 20 * k + 60] = (255 - 8 * k, 8 * k, 90)
-            yield Image.fromarray(picture)
-
-    assert video._write_gif(tmp_path / "film.gif", pictures()) == 30
-    with Image.open(tmp_path / "film.gif") as film:
-        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
-    assert len(frames) == 15 and frames[0].shape == (360, 480, 3)
-    assert all(np.array_equal(frame[:250], frames[0][:250]) for frame in frames), "the wall flickers"
-    assert len({frame[285, 5 + 14 * k].tobytes() for k, frame in enumerate(frames)}) > 3, "the square's colours are told apart"
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "gif"])
@@ -448,76 +405,10 @@ def test_two_runs_stand_side_by_side(tmp_path, stored):
         recordings.compare([("one", stored, "jaco"), ("two", stored, "iiwa")], tmp_path / "d.rrd", seed=11)
 
 
-def test_the_tree_is_laid_out_to_scale():
-    nodes = [{"name": name, "kind": kind, "alpha": alpha} for name, kind, alpha in
-             [("s", "source", [0, 0, 0]), ("m", "meta", [1, 0, 0]), ("t", "target", [1, 1, 0]), ("u", "target", [1, 0, 3])]]
-    edges = [{"from": "s", "to": "m", "length": 1.0}, {"from": "m", "to": "t", "length": 1.0}, {"from": "m", "to": "u", "length": 3.0}]
-    plan = Plan({"nodes": nodes, "edges": edges})
-    assert plan.places["s"][0] == 0 and plan.places["m"][0] == pytest.approx(250) and plan.places["u"][0] == pytest.approx(1000)
-    assert plan.edge_of(["t", "u"]) is edges[0] and plan.edge_of(["u"]) is edges[2] and plan.edge_of(["s"]) is None
-    assert plan.fraction(edges[2], np.array([1, 0, 1.5])) == pytest.approx(0.5)
-    assert plan.share.sum() == pytest.approx(1.0), "four points in space: three components tell all"
-    flat = plan.project(np.array([node["alpha"] for node in nodes], float))
-    apart = np.linalg.norm(flat[3] - flat[1]) / np.linalg.norm(flat[1] - flat[0])
-    assert apart == pytest.approx(3.0), "a projection that keeps everything keeps distances"
-
-
-def test_a_path_that_leaves_from_elsewhere_has_a_way_of_its_own():
-    """A tree that asks takes jaco's path from the source, and iiwa's from kinova3: neither is drawn on the plan's edge."""
-    nodes = [{"name": name, "kind": kind, "alpha": alpha} for name, kind, alpha in
-             [("s", "source", [0, 0, 0]), ("m", "meta", [1, 0, 0]), ("t", "target", [1, 1, 0]), ("u", "target", [1, 0, 3])]]
-    edges = [{"from": "s", "to": "m", "length": 1.0}, {"from": "m", "to": "t", "length": 1.0}, {"from": "m", "to": "u", "length": 3.0}]
-    plan = Plan({"nodes": nodes, "edges": edges})
-    along = [np.array(alpha) for alpha in ([1, 0, 0], [1, 0.4, 0], [1, 1, 0])]
-    assert all(plan.way_of(["t"], alpha) is edges[1] for alpha in along)
-    for alpha in ([0, 0, 0], [0.4, 0.4, 0], [0.2, 0.9, 0]):  # straight, and round a corner
-        way = plan.way_of(["t"], np.array(alpha, float))
-        assert (way["from"], way["to"], way["length"]) == ("s", "t", 2.0)
-    way = plan.way_of(["t"], np.array([1, 0.5, 1.5]))
-    assert (way["from"], way["to"]) == ("u", "t") and plan.fraction(way, np.array([1, 0.5, 1.5])) == pytest.approx(0.5)
-    half = plan.stretch(way, 0.0, 0.5)
-    np.testing.assert_allclose(half, [plan.places["u"], np.add(plan.places["u"], plan.places["t"]) / 2])
-    assert plan.way_of(["t", "u"], np.array([0.5, 0, 0])) is edges[0] and plan.way_of(["s"], np.zeros(3)) is None
-    assert len(tree_figure(plan, [("s", "t", 0.5, 1.0), ("s", "m", 1.0, None)]).axes[0].lines) == 3 + 2 + 4
-
-
-def test_paths_are_named_as_a_transfer_names_them():
-    """Of a committed run, whose paths are still counted in the order in which they were played, there are as many as were told of."""
-    folder = ROOT / "docs" / "results" / "tree-0"
-    records = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-    named = Plan(json.loads((folder / "tree.json").read_bytes())).paths
-    assert len(named) == len({record["path"] for record in records}) and named[0] == "path 1"
-    nodes = [{"name": name, "kind": kind, "alpha": [x]} for name, kind, x in
-             [("s", "source", 0), ("t", "target", 1), ("u", "target", -1), ("v", "target", 2)]]
-    edges = [{"from": start, "to": end, "length": 1.0} for start, end in (("s", "t"), ("s", "u"), ("t", "v"))]
-    assert Plan({"nodes": nodes, "edges": edges}).paths == ["path 1.1", "path 1.1.1", "path 1.1.2", "path 1.2"], (
-        "s forks: 1 has nothing to do; 1.1 to t, which is a target, so that it parts; 1.2 to u"
-    )
-
-
 def test_a_matrix_has_a_place_for_every_dimension(small):
     places, rows, columns = matrix(small.space)
     assert len({tuple(place) for place in places}) == small.space.size, "no two dimensions share a cell"
     assert places[:, 1].max() + 1 == len(rows) and "anchor" in columns and "arm1" in rows
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
-def test_a_killed_runs_recording_is_readable(tmp_path):
-    file = tmp_path / "recording.rrd"
-    program = (
-        "import os, sys; from pathlib import Path; import rerun as rr; from toolkit.inspection.recording.stream import Stream\n"
-        "stream = Stream(Path(sys.argv[1]))\n"
-        "for step in range(9): stream.row('a', float(step), step, rr.Scalars(0.5)); stream.flush()\n"
-        "os.kill(os.getpid(), 9)\n"
-    )
-    killed = subprocess.run([sys.executable, "-c", program, str(file)], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)})
-    assert killed.returncode == -signal.SIGKILL
-    assert len(entities(file)["/a"]) == 9
-    file.write_bytes(file.read_bytes()[:-5])  # as if killed within a write
-    try:
-        assert viewer.recording_of(file) == file
-    except ToolkitError as error:
-        assert "--rebuild" in str(error)
 
 
 def test_what_is_no_recording_gets_one_sentence(tmp_path, rebuilt):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.appearance import ROUND, geom_triangles, simplified
 from toolkit.inspection.furniture import furniture, opacity
 from toolkit.inspection.report import page, stills
 from toolkit.inspection.visual import visual_of
@@ -179,37 +178,3 @@ def test_walked_edges_carry_the_last_success(finished, small):
 
     plan = Plan(small.tree("l1", "steiner").to_json())
     assert page.walked_edges(plan, Run.open(finished).read_metrics(), {}) == [("adroit", "jaco", 1.0, 0.75)]
-
-
-# ---- what robots look like ----
-
-
-def test_meshes_are_simplified_within_their_grid():
-    generator = np.random.default_rng(0)
-    directions = generator.normal(size=(3000, 3))
-    points = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    from scipy.spatial import ConvexHull
-
-    faces = ConvexHull(points).simplices
-    vertices, kept = simplified(points, faces, grid=0.01)
-    assert len(kept) < 0.75 * len(faces)
-    assert np.abs(np.linalg.norm(vertices, axis=1) - 0.1).max() < 0.01
-    few = simplified(points, faces[:10])
-    assert few[0] is points, "a small mesh stays as it is"
-
-
-def test_primitives_become_closed_surfaces():
-    import mujoco
-
-    kinds = {"box": ([0.1, 0.2, 0.3], 8 * 0.006), "sphere": ([0.1, 0, 0], 4 / 3 * np.pi * 1e-3),
-             "capsule": ([0.1, 0.2, 0], np.pi * 0.01 * 0.4 + 4 / 3 * np.pi * 1e-3), "cylinder": ([0.1, 0.2, 0], np.pi * 0.01 * 0.4),
-             "ellipsoid": ([0.1, 0.2, 0.3], 4 / 3 * np.pi * 0.006)}
-    spec = mujoco.MjSpec()
-    for name, (size, _) in kinds.items():
-        spec.worldbody.add_geom(name=name, type=getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}"), size=size)
-    model = spec.compile()
-    for name, (_, volume) in kinds.items():
-        vertices, faces = geom_triangles(model, model.geom(name).id)
-        a, b, c = vertices[faces].transpose(1, 0, 2)
-        measured = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6  # divergence theorem; positive if faces look outwards
-        assert measured == pytest.approx(volume, rel=12 / ROUND**2 * 3), name

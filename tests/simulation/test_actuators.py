@@ -12,7 +12,7 @@ from toolkit.evaluation.success import evaluate_compiled, evaluate_merged
 from toolkit.learning.policy import GaussianPolicy
 from toolkit.morphology.lab import Lab
 from toolkit.simulation.divergence import Divergence, replay
-from toolkit.simulation.laws import LAWS, law_of, merged_plant, native_plant, native_robot
+from toolkit.simulation.laws import merged_plant, native_plant, native_robot
 from toolkit.simulation.rollout import NativeEngine, RolloutEngine, play
 from toolkit.simulation.watching import States
 
@@ -98,22 +98,6 @@ def test_an_episode_can_be_taped():
     states = States()
     episode = play(native_plant(HAND_ROBOTS[0], LIFT), lift, 0, np.zeros(1), states)
     assert len(states.qpos) == episode.steps + 1 and states.qpos[0].shape == (10,)
-
-
-def test_who_cannot_play_is_named():
-    from robots import ROBOTS
-    from tasks import TASKS
-
-    with pytest.raises(ToolkitError, match="'kinova3' cannot play task 'lift'.*family toy-hand"):
-        Lab(HAND_ROBOTS[0], [ROBOTS["kinova3"]], LIFT)
-    with pytest.raises(ToolkitError, match="'crawler' cannot play task 'lift'"):
-        Lab(CRAWLER_ROBOTS[0], HAND_ROBOTS[1:], LIFT)
-    with pytest.raises(ToolkitError, match="'short' cannot play task '061_foam_brick'.*arms with grippers"):
-        Lab(ROBOTS["adroit"], [HAND_ROBOTS[1]], TASKS["061_foam_brick"])
-    odd = replace(LIFT, name="odd")
-    object.__setattr__(odd, "control_law", "telepathy")
-    with pytest.raises(ToolkitError, match=f"'telepathy'; there are: {', '.join(LAWS)}"):
-        law_of(odd)
 
 
 def test_an_actuator_without_a_range_is_named():
