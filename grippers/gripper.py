@@ -102,6 +102,9 @@ class Gripper:
             pad joint on springs (toolkit/morphology/linkage.py), the inner knuckle as dead weight.
         welded: role -> body (without robosuite's prefix) that plays it without a joint of its own: a jaw's pad. Its
             shapes then belong to the same link as the fingertips of other hands, into which they evolve.
+        grasp_offset: where along the closing axis an object comes to lie as the gripper closes on it [m], from robosuite's grasp site
+            towards the thumb: 0 between jaws that meet in the middle. It is measured (tests/grippers/test_grasp_offset.py); a policy
+            that is taken to the gripper sees the object from there.
         source: where rate, targets and preshape come from.
     """
 
@@ -114,6 +117,7 @@ class Gripper:
     source: str
     four_bar: bool = False
     welded: Mapping[str, str] = field(default_factory=dict)
+    grasp_offset: float = 0.0
     notes: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -133,3 +137,5 @@ class Gripper:
             raise ValueError(f"gripper {self.name}: preshape {self.preshape} lies outside [-1, 1]")
         if self.rate is not None and not 0.0 < self.rate <= 2.0:
             raise ValueError(f"gripper {self.name}: rate {self.rate} lies outside (0, 2] command/step")
+        if not abs(self.grasp_offset) < 0.1:
+            raise ValueError(f"gripper {self.name}: grasp_offset {self.grasp_offset} m is no place between its fingers; give metres")

@@ -113,6 +113,12 @@ class _Network:
         self._overwrite(self._shift, shift, "shift")
         self._overwrite(self._scale, scale, "scale")
 
+    def offset_by(self, offset: np.ndarray) -> Self:
+        """A copy that takes an observation for what this one would see less ``offset`` (n_obs,), each in its entry's unit."""
+        twin = self.copy()
+        twin.set_normalisation(self._shift + offset, self._scale)
+        return twin
+
     def layers(self) -> Layers:
         """The network as plain arrays, for a compiled rollout."""
         return Layers(self._weights, self._shift, self._scale, self._log_std)

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from robots.model_robot import ModelRobot
 from robots.robot import Robot
-from tasks.pick import PickTask
+from tasks.pick import START_ROTATION, PickTask
 from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
@@ -72,6 +74,18 @@ class Lab:
         """Source and targets as points of the evolution space."""
         points = [Terminal(name, self.space.beta(name)) for name in self.space.names]
         return points[0], points[1:]
+
+    def offset(self, alpha: np.ndarray) -> np.ndarray:
+        """(n_obs,) by which the observation of the robot ``alpha`` (D,) is off, each in its entry's unit, for a policy of the source.
+
+        Fingers need not hold an object where the grasp frame's origin is: how much farther along the closing axis than the source's,
+        world axes at the start rotation. A policy that sees the object from there grasps it where these fingers do.
+        """
+        out = np.zeros(self.task.observation.size)
+        if isinstance(self.space, EvolutionSpace):
+            there, source = (self.space.theta(robot)["grasp_offset"][0, 0] for robot in (alpha, self.space.beta(self.source.name)))
+            out[self.task.observation.slice("object_from_grasp")] = (there - source) * START_ROTATION[:, 0]
+        return out
 
     def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:
         """The evolution tree from the source to the targets."""

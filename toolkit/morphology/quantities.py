@@ -42,6 +42,8 @@ QUANTITIES: dict[str, str] = {
     "log_rate": "log10 of the largest change of the closing command per policy step",
     "leak": "1: the command is the action; 0: it integrates the action",
     "preshape": "closing command at the start",
+    "grasp_offset": "where along the closing axis an object comes to lie as the fingers close, from the grasp frame's origin; no part "
+                    "of F: policies that are taken along see the object from there",
     "base_follows": "1: the frame of operational-space control turns with joint 1",
     "torque_limit": "of the arm joint's motor; 0 where the arm lacks the joint",
     "base_position": "origin of the frame of operational-space control at the start",

@@ -461,6 +461,7 @@ class EvolutionSpace(ParameterSpace):
             ("log_rate", "log10(command/step)", "gripper", list(np.log10(rates))),
             ("leak", "1", "gripper", [float(g.rate is None) for g in grips]),
             ("preshape", "command", "gripper", [g.preshape for g in grips]),
+            ("grasp_offset", "m", "gripper", [g.grasp_offset for g in grips]),
             ("base_follows", "1", "arm1", [s.base_follows for s in systems]),
         ]
         out = [Field(name, (element,), (element,), ("",), unit, np.array(values)[:, None, None])

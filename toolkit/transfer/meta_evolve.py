@@ -50,6 +50,7 @@ class Transfer:
         report, on_batch: as for Sampler.
         explored: what the learner "search" explores, and how far.
         bends: targets behind an edge -> how it turns; the other edges are straight.
+        offset: as for Sampler; None: all robots hold where their grasp frames are.
     """
 
     def __init__(
@@ -66,10 +67,11 @@ class Transfer:
         on_batch: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
         explored: Explored | None = None,
         bends: Mapping[frozenset[str], Bend] | None = None,
+        offset: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
         self.config, self.run = config, run
         self.players = Players(engine, native)
-        self.sampler = Sampler(run, report, on_batch)
+        self.sampler = Sampler(run, report, on_batch, offset or (lambda alpha: np.zeros(len(policy.observation_names))))
         self.way = Way(config, self.sampler, targets, bends or {})
         weights = WeightLearner(config, self.sampler, engine, source, policy.copy())
         search = None
@@ -204,7 +206,7 @@ class Transfer:
     def finish(self, branch: Branch) -> list[Branch]:
         """The branch's policy is the answer for its target; nothing goes on from here."""
         name = branch.targets[0]
-        self.frontier.arrive(name, branch.policy)
+        self.frontier.arrive(name, self.sampler.own(branch.policy, self.way.goal(branch)))
         branch.ledger.route.append(name)
         if self.race is not None:
             self.race.overtake(branch, self.frontier.pending)

@@ -215,7 +215,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 explored(job.task, gains=bool(job.randomise)), self._bends())
+                                 explored(job.task, gains=bool(job.randomise)), self._bends(), self.lab.offset)
         if resume:
             try:
                 self.transfer.restore()
@@ -341,7 +341,8 @@ class Pipeline:
             return json.loads(file.read_text(encoding="utf-8"))
         episodes, found = self.job.evaluation_episodes, {}
         for robot in self.job.targets:
-            found[robot.name] = evaluate_compiled(expert, robot, self.job.task, episodes, cluster=self.cluster).to_json()
+            own = expert.offset_by(self.lab.offset(self.lab.space.beta(robot.name)))
+            found[robot.name] = evaluate_compiled(own, robot, self.job.task, episodes, cluster=self.cluster).to_json()
             self.watch({"event": "untrained", **found[robot.name]})
         self.run.write_json("untrained", found)
         return found
@@ -360,8 +361,9 @@ class Pipeline:
         job, found = self.job, {}
         expert, _ = load_expert(job.source.name, job.task, job.expert)
         for robot in job.targets:
+            expert_there = expert.offset_by(self.lab.offset(self.lab.space.beta(robot.name)))
             played = {who: evaluate_randomised(policy, robot, job.task, conditions, job.evaluation_episodes).to_json()
-                      for who, policy in (("untrained", expert), ("trained", policies[robot.name]))}
+                      for who, policy in (("untrained", expert_there), ("trained", policies[robot.name]))}
             found[robot.name] = {"conditions": job.config()["randomise"], **played}
         return found
 

@@ -70,6 +70,7 @@ class Sampler:
         report: called with every entry of the metrics, for progress and pictures.
         on_batch: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
             explored by noise on its actions, and the policy of each episode.
+        offset: alpha (D,) -> (n_obs,) by which that robot's observations are off as policies that are taken along see them; see `play`.
 
     Attributes:
         earlier_seconds: wall time of the sittings before this one [s].
@@ -80,8 +81,9 @@ class Sampler:
         run: Run,
         report: Callable[[Entry, Branch], None],
         on_batch: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
+        offset: Callable[[np.ndarray], np.ndarray],
     ) -> None:
-        self.run, self.report, self.on_batch = run, report, on_batch
+        self.run, self.report, self.on_batch, self._offset = run, report, on_batch, offset
         self._telling = Lock()
         self._started = time.perf_counter()
         self.earlier_seconds = 0.0
@@ -89,24 +91,43 @@ class Sampler:
     # ---- playing -----------------------------------------------------------------------------------------------
 
     def play(
-        self, branch: Branch, player: Player, actor: Callable | Sequence[Callable], alphas: list[np.ndarray], seeds: list[int], noise: bool,
-        policies: list[GaussianPolicy],
+        self, branch: Branch, player: Player, policies: list[GaussianPolicy], alphas: list[np.ndarray], seeds: list[int], noise: bool,
     ) -> list[Episode]:
-        """``player.play``, timed; diverged episodes are counted, and all passed to ``on_batch`` with what it wants to know."""
+        """One episode of each policy, by its mean action or under its ``noise``, timed, and diverged ones counted.
+
+        A policy that is taken along sees every robot's object from where that robot holds it. On the robot it plays, and ``on_batch`` is
+        told of it, as the policy of that robot's own observations; the episodes that are returned hold what the policy given here sees.
+        """
+        offsets = [self._offset(alpha) for alpha in alphas]
+        own = self._own(policies, offsets)
+        actors = [policy.act if noise else MeanActor(policy) for policy in own]
         began = time.perf_counter()
-        batch = player.play(actor, alphas, seeds)
+        batch = player.play(actors[0] if all(policy is own[0] for policy in own) else actors, alphas, seeds)
         branch.ledger.play_s += time.perf_counter() - began
         branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
         with self._telling:
-            self.on_batch(branch, batch, noise, policies)
-        return batch
+            self.on_batch(branch, batch, noise, own)
+        return [_seen(episode, offset) for episode, offset in zip(batch, offsets, strict=True)]
+
+    def own(self, policy: GaussianPolicy, alpha: np.ndarray) -> GaussianPolicy:
+        """A policy that is taken along, as one of the robot ``alpha``'s (D,) own observations."""
+        return self._own([policy], [self._offset(alpha)])[0]
+
+    @staticmethod
+    def _own(policies: Sequence[GaussianPolicy], offsets: Sequence[np.ndarray]) -> list[GaussianPolicy]:
+        """The same, one by one; what is the same policy on the same robot is one object."""
+        made: dict[tuple[int, bytes], GaussianPolicy] = {}
+        keys = [(id(policy), offset.tobytes()) for policy, offset in zip(policies, offsets, strict=True)]
+        for key, policy, offset in zip(keys, policies, offsets, strict=True):
+            if key not in made:
+                made[key] = policy.offset_by(offset) if offset.any() else policy
+        return [made[key] for key in keys]
 
     def train(
         self, branch: Branch, player: Player, alphas: list[np.ndarray], seeds: list[int], policies: list[GaussianPolicy] | None = None
     ) -> list[Episode]:
         """Training episodes, counted: of the branch's policy under its noise, or of ``policies``, one each, without."""
-        actors = branch.policy.act if policies is None else [MeanActor(policy) for policy in policies]
-        batch = self.play(branch, player, actors, alphas, seeds, policies is None, policies or [branch.policy] * len(seeds))
+        batch = self.play(branch, player, policies or [branch.policy] * len(seeds), alphas, seeds, noise=policies is None)
         branch.ledger.cost.sim_epochs += len(batch)
         return batch
 
@@ -129,11 +150,10 @@ class Sampler:
         needed = math.ceil(wanted * episodes)
         least = needed if floor is None else min(needed, math.ceil(floor * episodes))
         successes = played = 0
-        actor = branch.policy.act if exploring else MeanActor(branch.policy)
         while played < episodes and successes < needed and successes + episodes - played >= least:
             size = min(LOOK, episodes - played)
             seeds = [CHECKING_SEEDS + choice * episodes + played + i for i in range(size)]
-            batch = self.play(branch, player, actor, [alpha] * size, seeds, exploring, [branch.policy] * size)
+            batch = self.play(branch, player, [branch.policy] * size, [alpha] * size, seeds, exploring)
             played += size
             successes += sum(episode.success for episode in batch)
             if (hasty or look) and successes < DOUBT * wanted * played:
@@ -147,7 +167,7 @@ class Sampler:
     def watch(self, branch: Branch, player: Player, alpha: np.ndarray) -> list[Episode]:
         """A few episodes of the policy on the robot ``alpha`` (D,) that are counted as checks: to see which states it meets."""
         seeds = [CHECKING_SEEDS + i for i in range(LOOK)]
-        batch = self.play(branch, player, MeanActor(branch.policy), [alpha] * LOOK, seeds, False, [branch.policy] * LOOK)
+        batch = self.play(branch, player, [branch.policy] * LOOK, [alpha] * LOOK, seeds, noise=False)
         branch.ledger.cost.check_episodes += len(batch)
         return batch
 
@@ -165,3 +185,10 @@ class Sampler:
     def seconds(self) -> float:
         """Wall time of the run, over all its sittings [s]."""
         return self.earlier_seconds + time.perf_counter() - self._started
+
+
+def _seen(episode: Episode, offset: np.ndarray) -> Episode:
+    """The episode as a policy saw it that takes a robot's observations for off by ``offset`` (n_obs,)."""
+    if not offset.any():
+        return episode
+    return replace(episode, observations=episode.observations - offset, last_observation=episode.last_observation - offset)
