@@ -50,11 +50,13 @@ class Toy:
 
     Attributes:
         calls: (branch, training or not, alphas, seeds) per batch, the branch as it was when it asked.
+        offset: alpha (3,) -> (1,) by which that robot's observation is off.
         episodes: played.
     """
 
-    def __init__(self, kill_after=None, succeeds=True, shift=0.0):
+    def __init__(self, kill_after=None, succeeds=True, shift=0.0, offset=None):
         self.kill_after, self.succeeds, self.shift = kill_after, succeeds, shift
+        self.offset = offset or (lambda alpha: np.zeros(1))
         self.calls, self.episodes, self.transfer, self.stopped = [], 0, None, False
 
     def play(self, actor, alphas, seeds):
@@ -76,11 +78,12 @@ class Toy:
         self.stopped = True
 
     def one(self, actor, alpha, seed):
-        action = actor(OBSERVATION, np.random.default_rng((seed, 1)))
+        observation = OBSERVATION + self.offset(alpha)
+        action = actor(observation, np.random.default_rng((seed, 1)))
         success = self.succeeds and abs(float(action[0]) - wanted(alpha) - self.shift) < tolerance(seed)
         return Episode(
-            observations=OBSERVATION[None], actions=action[None], rewards=np.array([float(success)]), success=success,
-            diverged=False, terminated=True, last_observation=OBSERVATION, alpha=alpha, seed=seed,
+            observations=observation[None], actions=action[None], rewards=np.array([float(success)]), success=success,
+            diverged=False, terminated=True, last_observation=observation, alpha=alpha, seed=seed,
         )
 
     def of(self, training):
@@ -122,14 +125,14 @@ def natives(**settings):
 
 
 def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, on_batch=None, bends=None,
-                explored=EXPLORED):
+                explored=EXPLORED, offset=None):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
     quiet = lambda *seen: None  # noqa: E731
     learner = expert() if settings.learner == "npg" else seeing_expert()
     transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, on_batch or quiet, explored,
-                        bends)
+                        bends, offset)
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
     if resume:
