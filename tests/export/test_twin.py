@@ -77,7 +77,7 @@ def test_deploy_runs_where_there_is_neither_torch_nor_robosuite(served, tmp_path
     assert all({"observe_ms", "policy_ms", "command_ms", "age_ms", "action", "target"} <= set(row) for row in rows)
 
 
-@pytest.mark.parametrize("name, form", [("kinova3", "pose"), ("kinova3", "joint"), ("iiwa", "pose")])
+@pytest.mark.parametrize("name, form", [("kinova3", "pose"), ("kinova3", "joint"), pytest.param("iiwa", "pose", marks=pytest.mark.slow)])
 def test_poses_and_joint_angles_do_the_task_on_a_position_controlled_arm(served, name, form):
     """The iiwa in poses too: its first joint was once given more of the motion than its speed limit allows."""
     driver = SimDriver("127.0.0.1", served(name))
