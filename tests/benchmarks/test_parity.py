@@ -1,4 +1,5 @@
-"""What the merge keeps of each robot: F(beta) beside the unmodified robosuite robot, measured."""
+"""What the merge keeps of each robot: F(beta) beside the unmodified robosuite robot, measured; and the picture of the merged tree, which
+needs all robots matched as well."""
 
 import json
 

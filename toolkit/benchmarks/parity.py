@@ -5,7 +5,7 @@ them: a merged gripper has no meshes, no contact with itself, and open chains in
 """
 
 import copy
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -76,19 +76,32 @@ class Side:
         mujoco.mj_step(model, data, int(round(seconds / model.opt.timestep)))
         mujoco.mj_forward(model, data)
 
-    def closed(self, command: float) -> tuple[mujoco.MjData, bool]:
-        """Closed from the start to a command at the gripper's own rate, and settled; whether the thumb has touched another finger."""
+    def closings(self, commands: Sequence[float]) -> Iterator[tuple[mujoco.MjData, bool]]:
+        """For each of the rising commands: closed from the start to it at the gripper's own rate, and settled; whether the thumb has
+        touched another finger. The way there is walked once, and left at each command by a copy."""
         model, data = self.clamped()
-        law, commands, met = self.plant.law, np.full(len(COMMANDED_ROLES), self.plant.law.preshape), False
+        law, before, met = self.plant.law, np.full(len(COMMANDED_ROLES), self.plant.law.preshape), False
         step = int(round(1.0 / self.plant.task.control_frequency / model.opt.timestep))
-        plan = list[float]()
-        while commands.max() < command:
-            commands = np.minimum(law.advance(commands, np.ones_like(commands)), command)
-            plan += [float(commands[0])] * step
-        for now in [*plan, *[command] * int(round(SETTLING / model.opt.timestep))]:
-            self.close_to(model, data, now, model.opt.timestep)
+        settling = int(round(SETTLING / model.opt.timestep))
+        for command in commands:
+            while (after := law.advance(before, np.ones_like(before))).max() < command:
+                met = self._close(model, data, float(after[0]), step) or met
+                before = after
+            settled, touched = copy.copy(data), False
+            if before.max() < command:
+                touched = self._close(model, settled, min(float(after[0]), command), step)
+            touched = self._close(model, settled, command, settling) or touched
+            yield settled, met or touched
+
+    def _close(self, model: mujoco.MjModel, data: mujoco.MjData, command: float, steps: int) -> bool:
+        """Simulate a number of physics steps at one closing command; whether the thumb touched another finger after any of them."""
+        data.ctrl[self.fingers] = self.plant.law.targets(np.full(len(COMMANDED_ROLES), command))
+        met = False
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+            mujoco.mj_fwdPosition(model, data)  # contacts and poses of the state after the step
             met = met or self.jaws_met(model, data)
-        return data, met
+        return met
 
     def jaws_met(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
         """Whether the thumb touches another finger."""
@@ -247,11 +260,10 @@ def arm_errors(mine: Side, own: Side, system: System) -> tuple[float, float]:
 def pad_errors(mine: Side, own: Side) -> tuple[float, float]:
     """Largest pad position error [m] and angle error [degrees] from open until the robot's own jaws meet."""
     position = angle = 0.0
-    for command in COMMANDS:
-        theirs, met = own.closed(command)
+    for (theirs, met), (ours, _) in zip(own.closings(COMMANDS), mine.closings(COMMANDS), strict=True):
         if met:
             break
-        poses = [mine.pad_poses(mine.closed(command)[0]), own.pad_poses(theirs)]
+        poses = [mine.pad_poses(ours), own.pad_poses(theirs)]
         for finger in own.pads:
             (p, P), (q, Q) = poses[0][finger], poses[1][finger]
             position = max(position, float(np.linalg.norm(p - q)))
