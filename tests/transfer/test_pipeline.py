@@ -201,3 +201,22 @@ def test_another_job_cannot_resume_the_run(played, job):
     other = Job(job.source, job.targets, job.task, CONFIG, evaluation_episodes=3)
     with pytest.raises(ToolkitError, match="evaluation_episodes = 2, not 3"):
         Pipeline(other, played[0], resume=True)
+
+
+def test_a_run_of_other_robots_cannot_be_resumed(played, job, tmp_path):
+    """Its alphas would be read as those of today's robots, whatever has been added to these or measured anew."""
+    def shortened(alpha):
+        return alpha[:-1]
+
+    def moved(alpha):
+        return [alpha[0] + (0.01 if alpha[0] < 0.5 else -0.01), *alpha[1:]]
+
+    for change in (shortened, moved):
+        folder = tmp_path / change.__name__
+        shutil.copytree(played[0], folder)
+        tree = json.loads((folder / "tree.json").read_text())
+        for node in tree["nodes"]:
+            node["alpha"] = change(node["alpha"])
+        (folder / "tree.json").write_text(json.dumps(tree))
+        with pytest.raises(ToolkitError, match=f"{change.__name__} was begun with another {job.source.name}.*have changed since.*go on by"):
+            Pipeline(job, folder, resume=True)

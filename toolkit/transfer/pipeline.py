@@ -28,7 +28,7 @@ from toolkit.morphology.build import MergedRobot
 from toolkit.morphology.lab import Lab, Merged, System, check_players, check_roles
 from toolkit.morphology.space import EvolutionSpace
 from toolkit.runs.phases import PhaseRecorder
-from toolkit.runs.run import Run, read_audit
+from toolkit.runs.run import Run, read_audit, read_tree
 from toolkit.simulation.cluster import Cluster
 from toolkit.simulation.laws import Drivable, native_plant
 from toolkit.simulation.plant import Plant
@@ -109,6 +109,10 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
     if values.get("step") == "fixed" and overrides.get("path") is None:
         values["path"] = "straight"  # as the paper's
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
+
+
+SAME_ROBOT = 1e-3
+"""Difference of an evolution parameter up to which a resumed run's robot is the one of before: what another processor's rounding makes."""
 
 
 class Recorder(Protocol):
@@ -209,8 +213,10 @@ class Pipeline:
         self.lab = Lab(job.source, job.targets, job.task)
         dump = folder / "divergence.npz"
         self.engine = RolloutEngine(self.lab.merged, dump=dump) if self.cluster is None else self.cluster.merged(self.lab, dump)
-        self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.tree = self.lab.tree(job.transfer.metric, job.transfer.tree_kind)
+        if resume:
+            self._check_robots(folder)
+        self.untrained = self._untrained(policy)  # before the transfer's clock starts
         self.audit = self._audit()
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
@@ -234,6 +240,19 @@ class Pipeline:
         self.recording = _Guarded(
             folder, lambda: None if begin is None else begin(folder, self.lab.merged, tree, policy.copy(), self._plant, records)
         )
+
+    def _check_robots(self, folder: Path) -> None:
+        """Refuse to go on with a run whose robots were others: its alphas mean nothing among those of now."""
+        if not (folder / "tree.json").is_file():
+            return
+        before = {node["name"]: np.array(node["alpha"], float) for node in read_tree(folder)["nodes"]}
+        for node in self.tree.nodes:
+            stood = before.get(node.name, np.zeros(0))
+            if len(stood) != len(node.alpha) or np.abs(stood - node.alpha).max() > SAME_ROBOT:
+                raise ToolkitError(
+                    f"{folder} was begun with another {node.name}: robots, or how they are measured, have changed since; start a new run "
+                    f"under another --run, or go on by commit {self.run.commit()}"
+                )
 
     def _native(self, robot: System, dump: Path) -> Engine:
         """Plays on the unmodified robot of a target: where the last hop is trained and measured.
