@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE
-from toolkit.demonstrations.scripts import entry
+from toolkit.demonstrations.scripts import entry, pick_script
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
+from toolkit.morphology.matching import match
 from toolkit.morphology.native_scene import GRIP_SITE, NativeScene
+from toolkit.morphology.space import EvolutionSpace
 from toolkit.simulation.laws import merged_plant
+from toolkit.simulation.rollout import play
 
 every_robot = pytest.mark.parametrize("name", list(ROBOTS))
 OPEN = -1.0
@@ -321,3 +324,13 @@ def test_frozen_joints_stay_where_they_froze(merged, space, name):
     moved = {joint: abs(float(plant.data.joint(joint).qpos[0])) for joint in frozen}
     worst = max(moved, key=moved.get, default=None)
     assert worst is None or moved[worst] < 0.005, f"{name}: frozen joint {worst} moved {moved[worst]:.4f} rad"
+
+
+def test_robots_without_a_hand_among_them_merge_as_well(task):
+    """Most roles are then nobody's: their joints are frozen, may stand anywhere, and leave both robots able to pick."""
+    space = EvolutionSpace(match([ROBOTS["panda"], ROBOTS["iiwa"]]))
+    merged = MergedRobot(space, task)
+    for alpha, label in ((space.betas[0], "panda"), (space.betas.mean(axis=0), "between"), (space.betas[1], "iiwa")):
+        assert_equals_scratch(merged, alpha, label)
+        played = play(merged_plant(merged, alpha, *merged.new()), pick_script(task.object), 20_000_000, alpha)
+        assert played.success, f"the script drops the brick on {label}"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from grippers.gripper import DIGIT_OF, THUMB
 from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
-from toolkit.morphology.matching import CUBE, UNLIMITED_LENGTH, Coupling, Curve, Joint, Matching, Shape, System
+from toolkit.morphology.matching import CUBE, UNLIMITED_ANGLE, UNLIMITED_LENGTH, Coupling, Curve, Joint, Matching, Shape, System
 from toolkit.morphology.parameters import Field, ParameterSpace
 
 FROZEN_STIFFNESS = 200.0
@@ -261,9 +261,11 @@ class EvolutionSpace(ParameterSpace):
         return np.array(out)
 
     def _slot_field(
-        self, name: str, unit: str, components: Sequence[str], get: Callable, absent: Sequence[float] | None = None
+        self, name: str, unit: str, components: Sequence[str], get: Callable, absent: Sequence[float] | None = None,
+        nobody: Sequence[float] | None = None,
     ) -> Field:
-        """A field over the slots: ``get(joint, slot)`` where present; absent or None, they read ``absent`` or borrow."""
+        """A field over the slots: ``get(joint, slot)`` where present; absent or None, they read ``absent`` or borrow; what no robot
+        has reads ``nobody``, or 0."""
         rows = []
         for index in range(len(self.matching.slots)):
             read = [None if s.joints[index] is None else get(s.joints[index], index) for s in self.matching.systems]
@@ -271,7 +273,7 @@ class EvolutionSpace(ParameterSpace):
             if absent is not None:
                 rows.append(np.array([np.array(absent, float) if row is None else row for row in owned]))
             elif all(row is None for row in owned):
-                rows.append(np.zeros((len(owned), len(components))))
+                rows.append(np.tile(np.zeros(len(components)) if nobody is None else nobody, (len(owned), 1)))
             else:
                 rows.append(_borrowed(owned))
         slots = self.matching.slots
@@ -297,7 +299,7 @@ class EvolutionSpace(ParameterSpace):
             slot_field("air_position", "m", xyz, lambda j, i: j.air_position),
             slot_field("air_rotation", "rad", xyz, lambda j, i: j.air_rotation),
             slot_field("freeze", "1", ("",), lambda j, i: float(j.locked), absent=[1.0]),
-            slot_field("limits", "rad", ("low", "high"), lambda j, i: j.limits),
+            slot_field("limits", "rad", ("low", "high"), lambda j, i: j.limits, nobody=(-UNLIMITED_ANGLE, UNLIMITED_ANGLE)),
             slot_field("damping", "N m s/rad", ("",), lambda j, i: j.damping),
             slot_field("armature", "kg m^2", ("",), lambda j, i: j.armature),
             slot_field("friction_loss", "N m", ("",), lambda j, i: j.friction_loss, absent=[0.0]),
