@@ -93,8 +93,11 @@ class Course:
         """With ``start`` (n,) at the preshape; the three targets ``ways`` after ``shares`` (n,) of the way from there to +1."""
         touching, first = ways[0], shares[0]
         opened = start - (touching - start) * (1.0 + preshape) / (first * (1.0 - preshape))
-        turns = [preshape + share * (1.0 - preshape) for share in shares]
-        return cls(np.stack([np.full(len(start), -1.0), *turns], axis=1), np.stack([opened, *ways], axis=1))
+        commands, targets = np.empty((2, len(start), len(ways) + 1))
+        commands[:, 0], targets[:, 0] = -1.0, opened
+        for k, (way, share) in enumerate(zip(ways, shares, strict=True), 1):
+            commands[:, k], targets[:, k] = preshape + share * (1.0 - preshape), way
+        return cls(commands, targets)
 
     def __call__(self, command: float) -> np.ndarray:
         """Targets (n,)."""
@@ -385,8 +388,7 @@ class GraspLaw:
             e, t = self._tendons
             residual = data.ten_length[t] - model.tendon_length0[t] - goal[e, 0]
             force = held(residual, solimp[e], time[e], model.tendon_invweight0[t], active[e])
-            for row, joints, wraps in zip(force, self._wrapped, self._wraps, strict=True):
-                out[joints] += row * model.wrap_prm[wraps]
+            np.add.at(out, self._wrapped, force[self._of_tendon] * model.wrap_prm[self._wraps])
         if self._curves is not None:
             e, pads, drives = self._curves
             x, bend = data.qpos[self._qpos_of[drives]], goal[e, 1:3]
@@ -403,8 +405,10 @@ class GraspLaw:
         joint = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)
         self._tendons = (tendon, model.eq_obj1id[tendon]) if len(tendon) else None
         first, count = model.tendon_adr, model.tendon_num
-        self._wraps = [np.arange(first[t], first[t] + count[t]) for t in model.eq_obj1id[tendon]]
-        self._wrapped = [model.jnt_dofadr[model.wrap_objid[wraps]] for wraps in self._wraps]
+        held = model.eq_obj1id[tendon]
+        self._of_tendon = np.repeat(np.arange(len(held)), count[held])
+        self._wraps = np.array([wrap for t in held for wrap in range(first[t], first[t] + count[t])], int)
+        self._wrapped = model.jnt_dofadr[model.wrap_objid[self._wraps]]
         follow = (joint, model.jnt_dofadr[model.eq_obj1id[joint]], model.jnt_dofadr[model.eq_obj2id[joint]])
         self._curves = follow if len(joint) else None
         self._qpos_of = model.jnt_qposadr[model.dof_jntid]  # of a degree of freedom; the free object's are not asked for
@@ -416,15 +420,15 @@ class GraspLaw:
             p: what F writes there.
             model, data: patched; the configuration in ``data`` is overwritten.
         """
-        value = np.clip(alpha @ self._slope + self._offset, self._low, self._high)
+        value = np.minimum(np.maximum(alpha @ self._slope + self._offset, self._low), self._high)
         angles, force, gap, height, tilt, off, error, beyond, slack, both, most, share, early, ramp, late, passive = (
             value[cut] for cut in self._cuts.values()
         )
-        minding = np.clip(force / PRESSING, 0.0, 1.0)
+        minding = np.minimum(np.maximum(force / PRESSING, 0.0), 1.0)
         gap = gap - np.maximum(gap, 0.0) * minding
         angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding, tilt)
         torque = self._needed(model, data, p, angles, touches * force, nearest + off.reshape(-1, 3)) + error
-        torque = np.clip(torque, -self._strongest, self._strongest)
+        torque = np.minimum(np.maximum(torque, -self._strongest), self._strongest)
         apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
         away = np.minimum(1.0, nearest / LEAVING)[self._finger_of]
@@ -441,8 +445,10 @@ class GraspLaw:
         ways = [np.where(stiffness > WEAKEST, way, p.start_target) for way in (angles - early, pressing - late, closed)]
         holding = np.maximum(most, HEADROOM * np.abs(torque) + FIRM * near * led)
         # A gripper may close beyond a limit that is soft on its own light links, and hard on heavier ones.
-        own, past = p.limits[self.driven], np.stack([angles - LEEWAY, angles + LEEWAY], axis=1)
-        wide = np.stack([np.minimum(own[:, 0], past[:, 0]), np.maximum(own[:, 1], past[:, 1])], axis=1)
+        own = p.limits[self.driven]
+        wide = np.empty_like(own)
+        np.minimum(own[:, 0], angles - LEEWAY, out=wide[:, 0])
+        np.maximum(own[:, 1], angles + LEEWAY, out=wide[:, 1])
         return Motors(
             course=Course.through(p.start_target, ways, shares, p.preshape),
             gain=stiffness,
