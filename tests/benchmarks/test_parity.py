@@ -37,6 +37,7 @@ def figures(merged):
     return of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", LIMITS)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_merge_keeps(figures, name, figure, record_property):
@@ -46,6 +47,7 @@ def test_the_merge_keeps(figures, name, figure, record_property):
     assert value <= LIMITS[figure], f"{name}: {figure} is {value:.3g}, the limit {LIMITS[figure]:g}"
 
 
+@pytest.mark.slow
 def test_figures_are_json_with_the_agreed_keys(figures):
     record = figures("adroit")
     assert list(record) == KEYS

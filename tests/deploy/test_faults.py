@@ -47,7 +47,8 @@ def arm(task):
     return Direct(Twin(ROBOTS["kinova3"], task, "lockstep"))
 
 
-@pytest.mark.parametrize("form", [*(pytest.param(form, marks=pytest.mark.slow) for form in ("osc", "pose")), "joint"])
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["osc", "pose", "joint"])
 def test_no_fault_is_unmet(bundle, arm, form):
     some = ("none", "order", "stamp", "process")
     faults = FAULTS if form == "osc" else tuple(h for h in FAULTS if h.layer in some or "frozen" in h.name)

@@ -17,7 +17,9 @@ CLOSE_TO = 0.006
 """[m] of the stated place; a jaw's linkage lets an object shift by some millimetres."""
 
 
-@pytest.mark.parametrize("name", ["jaco", "kinova3", "iiwa", "panda", "ur5e", "sawyer"])
+@pytest.mark.parametrize(
+    "name", ["jaco", "kinova3", *(pytest.param(name, marks=pytest.mark.slow) for name in ("iiwa", "panda", "ur5e", "sawyer"))]
+)
 def test_what_a_gripper_closes_on_comes_to_lie_where_its_card_says(name):
     """Wherever between the fingers the brick was, 12 mm to either side of the grasp frame: at the lift, and at the end."""
     robot, plant, places = find_robot(name), native_plant(find_robot(name), TASK), []
