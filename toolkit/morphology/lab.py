@@ -82,9 +82,9 @@ class Lab:
         world axes at the start rotation. A policy that sees the object from there grasps it where these fingers do.
         """
         out = np.zeros(self.task.observation.size)
-        if isinstance(self.space, EvolutionSpace):
-            there, source = (self.space.theta(robot)["grasp_offset"][0, 0] for robot in (alpha, self.space.beta(self.source.name)))
-            out[self.task.observation.slice("object_from_grasp")] = (there - source) * START_ROTATION[:, 0]
+        if isinstance(self.space, EvolutionSpace) and isinstance(self.source, Robot):
+            farther = self.space.theta(alpha)["grasp_offset"][0, 0] - self.source.gripper.grasp_offset
+            out[self.task.observation.slice("object_from_grasp")] = farther * START_ROTATION[:, 0]
         return out
 
     def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:

@@ -353,6 +353,10 @@ class Pipeline:
 
     # ---- what is claimed ---------------------------------------------------------------------------------------
 
+    def _taken_to(self, robot: System, expert: GaussianPolicy) -> GaussianPolicy:
+        """The expert as a policy of a target's own observations, as the transfer takes it there."""
+        return expert.offset_by(self.lab.offset(self.lab.space.beta(robot.name)))
+
     def _untrained(self, expert: GaussianPolicy) -> dict[str, Any]:
         """The expert on every unmodified target before any training: whether evolution is needed at all. A resumed run reads it."""
         file = self.run.path / "untrained.json"
@@ -360,7 +364,7 @@ class Pipeline:
             return json.loads(file.read_text(encoding="utf-8"))
         episodes, found = self.job.evaluation_episodes, {}
         for robot in self.job.targets:
-            own = expert.offset_by(self.lab.offset(self.lab.space.beta(robot.name)))
+            own = self._taken_to(robot, expert)
             found[robot.name] = evaluate_compiled(own, robot, self.job.task, episodes, cluster=self.cluster).to_json()
             self.watch({"event": "untrained", **found[robot.name]})
         self.run.write_json("untrained", found)
@@ -380,9 +384,8 @@ class Pipeline:
         job, found = self.job, {}
         expert, _ = load_expert(job.source.name, job.task, job.expert)
         for robot in job.targets:
-            expert_there = expert.offset_by(self.lab.offset(self.lab.space.beta(robot.name)))
             played = {who: evaluate_randomised(policy, robot, job.task, conditions, job.evaluation_episodes).to_json()
-                      for who, policy in (("untrained", expert_there), ("trained", policies[robot.name]))}
+                      for who, policy in (("untrained", self._taken_to(robot, expert)), ("trained", policies[robot.name]))}
             found[robot.name] = {"conditions": job.config()["randomise"], **played}
         return found
 
