@@ -88,7 +88,7 @@ def test_f_leaves_the_template_and_other_copies_alone(merged, space):
 
 
 def test_f_is_cheap(merged, space, record_property):
-    """Under 1 ms on an idle core at full clock; slower, only as MuJoCo's own part of it is, which takes about 0.1 ms of that."""
+    """Under 1 ms on an idle core; beside other work, no more than MuJoCo's own part of it allows for."""
     model, data = merged.new()
     took = {"become": [], "mj_setConst": []}
     for index in range(100):
@@ -101,7 +101,7 @@ def test_f_is_cheap(merged, space, record_property):
     median, floor = (1e3 * float(np.median(took[part])) for part in ("become", "mj_setConst"))
     record_property("milliseconds", median)
     record_property("milliseconds_of_mj_setConst", floor)
-    assert median < max(1.0, 10.0 * floor), f"F(alpha) takes {median:.2f} ms, of which mj_setConst {floor:.2f} ms"
+    assert median < max(1.0, 8.0 * floor), f"F(alpha) takes {median:.2f} ms, of which mj_setConst {floor:.2f} ms"
 
 
 def test_an_alpha_outside_the_space_builds_nothing(merged, space):

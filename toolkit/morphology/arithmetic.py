@@ -113,6 +113,20 @@ def turned(vectors: np.ndarray, references: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
+def rotations(quaternions: np.ndarray) -> np.ndarray:
+    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4), real part first; term by term as mju_quat2Mat, to the same bits."""
+    out = np.empty((len(quaternions), 3, 3))
+    for i in range(len(quaternions)):
+        w, x, y, z = quaternions[i]
+        ww, xx, yy, zz = w * w, x * x, y * y, z * z
+        out[i, 0, 0], out[i, 1, 1], out[i, 2, 2] = ww + xx - yy - zz, ww - xx + yy - zz, ww - xx - yy + zz
+        out[i, 0, 1], out[i, 1, 0] = 2.0 * (x * y - w * z), 2.0 * (x * y + w * z)
+        out[i, 0, 2], out[i, 2, 0] = 2.0 * (x * z + w * y), 2.0 * (x * z - w * y)
+        out[i, 1, 2], out[i, 2, 1] = 2.0 * (y * z - w * x), 2.0 * (y * z + w * x)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def bones(anchors: np.ndarray, tips: np.ndarray, radius: np.ndarray, shortest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Capsules from anchors (n, 3) to tips (n, 3): centres in the link frames, quaternions, sizes (radius, half length, 0)."""
     centres, frames, sizes = 0.5 * (tips - anchors), np.zeros((len(radius), 4)), np.zeros((len(radius), 3))

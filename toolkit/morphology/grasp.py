@@ -18,6 +18,7 @@ import numpy as np
 
 from grippers.gripper import DIGIT_OF, DIGITS, SLIDES, THUMB
 from tasks.pick import START_POSITION, START_ROTATION
+from toolkit.morphology.arithmetic import rotations
 from toolkit.morphology.contact import gap_of, held, levers, meet, place, tilt_of
 from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
 from toolkit.morphology.patch import Patch
@@ -198,10 +199,8 @@ class GraspLaw:
     def _solids(self, p: Patch) -> tuple[np.ndarray, ...]:
         """Centres, axes, sizes, kinds and how much they touch of the fingers' geoms at the start posture."""
         centres = p.shape_pos[self._carrying] + p.anchor[self._carrier]
-        frames = np.empty((len(self._carrying), 9))
-        for row, quat in zip(frames, p.shape_quat[self._carrying], strict=True):
-            mujoco.mju_quat2Mat(row, quat)
-        return centres, frames.reshape(-1, 3, 3), p.shape_size[self._carrying], self._boxes, p.shape_activity[self._carrying]
+        frames = rotations(p.shape_quat[self._carrying])
+        return centres, frames, p.shape_size[self._carrying], self._boxes, p.shape_activity[self._carrying]
 
     def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Distances (n_fingers,) [m] of the fingers from the box; heights (n_fingers,) [m], world, of where they are nearest; where that
