@@ -154,10 +154,10 @@ class GraspLaw:
         self._dimensions = [
             np.unique([p.dimension for p in space.parameters if p.element == finger]).astype(int) for finger in self.fingers
         ]
-        self._betas = space.betas
         # A finger on which no robots differ has no dimension; it shares the first one's, and moves with nothing.
         listed = [d if len(d) else np.zeros(1, int) for d in self._dimensions]
         self._all_dimensions = np.concatenate(listed)
+        self._all_betas = space.betas[:, self._all_dimensions]
         self._first_dimension = np.cumsum([0, *(len(d) for d in listed[:-1])])
         self._joints = np.array([model.joint(slots[i].name).id for i in self.driven])
         self._qpos, self._dofs = model.jnt_qposadr[self._joints], model.jnt_dofadr[self._joints]
@@ -222,12 +222,12 @@ class GraspLaw:
         """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, as high and as flat as asked; where they
         are nearest (n_fingers, 3), on their last links; and how much of each finger is there to touch (n_fingers,), 0 to 1."""
         out, points, solids, touches = angles.copy(), p.anchor[self._tips], self._solids(p), np.zeros(len(self.fingers))
-        free = 1.0 - p.freeze[self.driven]
+        free, anchors, axes = 1.0 - p.freeze[self.driven], p.anchor[self.driven], p.axis[self.driven]
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
             out[chain], points[f], touches[f] = meet(  # type: ignore[call-arg]  # as above
-                angles, free, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding, self._own_shapes[f], self._link,
+                angles, free, chain, anchors, axes, self._sliding, self._own_shapes[f], self._link,
                 *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces,  # type: ignore[arg-type]
                 gap[f], height[f], minding[f], tilt[f],
             )
@@ -428,7 +428,7 @@ class GraspLaw:
         angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding, tilt)
         torque = self._needed(model, data, p, angles, touches * force, nearest + off.reshape(-1, 3)) + error
         torque = np.minimum(np.maximum(torque, -self._strongest), self._strongest)
-        apart = np.abs(self._betas[:, self._all_dimensions] - alpha[self._all_dimensions])
+        apart = np.abs(self._all_betas - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
         away = np.minimum(1.0, nearest / LEAVING)[self._finger_of]
         near = np.minimum(1.0, nearest / EASING)[self._finger_of]
