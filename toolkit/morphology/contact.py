@@ -29,15 +29,29 @@ FAR = 1.0
 
 
 @numba.njit(cache=True, nogil=True)
-def _turned(turn: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    """``turn`` (3, 3) times the rotation about a unit axis (3,) (Rodrigues)."""
+def _times(turn: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A matrix (3, 3) times a vector. Written out, as all of this module's inner loops: a library's call costs ten times its sums."""
+    return (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z, turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z,
+            turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z)
+
+
+@numba.njit(cache=True, nogil=True)
+def _product(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> None:
+    """``left`` times ``right``, (3, 3) each, into ``out``, which is neither."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def _rotation(axis: np.ndarray, angle: float, out: np.ndarray) -> None:
+    """The rotation about a unit axis (3,) (Rodrigues) into ``out`` (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = axis[0], axis[1], axis[2]
     v = 1.0 - c
-    r = np.array([[c + x * x * v, x * y * v - z * s, x * z * v + y * s],
-                  [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
-                  [z * x * v - y * s, z * y * v + x * s, c + z * z * v]])
-    return turn @ r
+    out[0, 0], out[0, 1], out[0, 2] = c + x * x * v, x * y * v - z * s, x * z * v + y * s
+    out[1, 0], out[1, 1], out[1, 2] = y * x * v + z * s, c + y * y * v, y * z * v - x * s
+    out[2, 0], out[2, 1], out[2, 2] = z * x * v - y * s, z * y * v + x * s, c + z * z * v
 
 
 @numba.njit(cache=True, nogil=True)
@@ -55,42 +69,38 @@ def place(
     count = len(chain)
     turns, shifts = np.empty((count, 3, 3)), np.empty((count, 3))
     now, at = np.empty((count, 3)), np.empty((count, 3))
-    turn, shift = np.eye(3), np.zeros(3)
+    turn, shift, rotation = np.eye(3), np.zeros(3), np.empty((3, 3))
     for k in range(count):
         j = chain[k]
-        now[k] = turn @ axes[j]
-        at[k] = turn @ anchors[j] + shift
+        now[k, 0], now[k, 1], now[k, 2] = _times(turn, axes[j, 0], axes[j, 1], axes[j, 2])
+        x, y, z = _times(turn, anchors[j, 0], anchors[j, 1], anchors[j, 2])
+        at[k, 0], at[k, 1], at[k, 2] = x + shift[0], y + shift[1], z + shift[2]
         if sliding[j]:
-            shift = shift + now[k] * angles[j]
+            turns[k] = turn
+            for i in range(3):
+                shifts[k, i] = shift[i] + now[k, i] * angles[j]
         else:
-            turn = _turned(turn, axes[j], angles[j])
-            shift = at[k] - turn @ anchors[j]
-        turns[k], shifts[k] = turn, shift
+            _rotation(axes[j], angles[j], rotation)
+            _product(turn, rotation, turns[k])
+            x, y, z = _times(turns[k], anchors[j, 0], anchors[j, 1], anchors[j, 2])
+            shifts[k, 0], shifts[k, 1], shifts[k, 2] = at[k, 0] - x, at[k, 1] - y, at[k, 2] - z
+        turn, shift = turns[k], shifts[k]
     return turns, shifts, now, at
 
 
 @numba.njit(cache=True, nogil=True)
-def _extent(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, direction: np.ndarray) -> float:
-    """How far [m] a geom with axes ``turn @ frame`` reaches from its centre along a direction (3,)."""
-    local = frame.T @ (turn.T @ direction)
-    if box:
-        return abs(local[0]) * size[0] + abs(local[1]) * size[1] + abs(local[2]) * size[2]
-    return abs(local[2]) * size[1] + size[0]
-
-
-@numba.njit(cache=True, nogil=True)
-def _reach(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, push: np.ndarray, off: np.ndarray, half: np.ndarray) -> float:
+def _reach(axes: np.ndarray, size: np.ndarray, box: bool, push: np.ndarray, off: np.ndarray, half: np.ndarray) -> float:
     """How far [m] a geom reaches from its centre along ``push`` where it is in front of the box, or next to that where it is beside it.
 
     A slanted link that leans over the box is no nearer to it. What counts are the geom's edges, cut to the box's width and height.
 
     Args:
-        turn, frame, size, box: as for ``_extent``.  push: (3,), along y.
+        axes: (3, 3) the geom's axes, as columns.  push: (3,), along y.
         off: (3,) [m] its centre from the box's.  half: (3,) half extents [m] of the box.
     """
-    axes = turn @ frame
-    corners = np.empty((8 if box else 2, 3))
-    for n in range(len(corners)):
+    count = 8 if box else 2
+    corners = np.empty((count, 3))
+    for n in range(count):
         for i in range(3):
             if box:
                 corners[n, i] = off[i]
@@ -100,21 +110,29 @@ def _reach(turn: np.ndarray, frame: np.ndarray, size: np.ndarray, box: bool, pus
                 corners[n, i] = off[i] + (2.0 * n - 1.0) * size[1] * axes[i, 2]
     low, high = np.empty(3), np.empty(3)
     for i in (0, 2):
-        low[i], high[i] = min(-half[i], corners[:, i].max()), max(half[i], corners[:, i].min())
-    centre, best = off @ push, -FAR
-    for n in range(len(corners)):
+        least, largest = corners[0, i], corners[0, i]
+        for n in range(1, count):
+            least, largest = min(least, corners[n, i]), max(largest, corners[n, i])
+        low[i], high[i] = min(-half[i], largest), max(half[i], least)
+    centre, best = off[0] * push[0] + off[1] * push[1] + off[2] * push[2], -FAR
+    for n in range(count):
         for a in range(3 if box else 1):
             if n >> a & 1 == 0:
-                first, way = corners[n], corners[n | 1 << a] - corners[n]
+                first, last = corners[n], corners[n | 1 << a]
                 begin, end = 0.0, 1.0
                 for i in (0, 2):
-                    if abs(way[i]) > 1e-12:
-                        one, two = (low[i] - first[i]) / way[i], (high[i] - first[i]) / way[i]
+                    way = last[i] - first[i]
+                    if abs(way) > 1e-12:
+                        one, two = (low[i] - first[i]) / way, (high[i] - first[i]) / way
                         begin, end = max(begin, min(one, two)), min(end, max(one, two))
                     elif first[i] > high[i] + 1e-12 or first[i] < low[i] - 1e-12:
                         end = -1.0
                 if begin <= end + 1e-9:
-                    best = max(best, (first + begin * way) @ push, (first + end * way) @ push)
+                    near, rise = 0.0, 0.0
+                    for i in range(3):
+                        near += first[i] * push[i]
+                        rise += (last[i] - first[i]) * push[i]
+                    best = max(best, near + begin * rise, near + end * rise)
     if best == -FAR:  # it is in front of the box with the middle of a face only
         best = centre
     return best - centre + (0.0 if box else size[0])
@@ -137,19 +155,25 @@ def gap_of(
         push: (3,) towards the box, +-y.  origin: (3,) its centre.  half: (3,) its half extents.
     """
     gaps, places, shares = np.full(len(mine), FAR), np.zeros((len(mine), 3)), np.zeros(len(mine))
+    off, axes = np.empty(3), np.empty((3, 3))
     for n in range(len(mine)):
         s = mine[n]
         if active[s] > 0.0:
             k = link[s]
-            centre = turns[k] @ centres[s] + shifts[k]
-            off = centre - origin
-            reach = _reach(turns[k], frames[s], sizes[s], boxes[s], push, off, half)
-            gap = -(off @ push) - half[1] - reach
-            for axis in (0, 2):
-                direction = np.zeros(3)
-                direction[axis] = 1.0
-                gap += BESIDE * max(0.0, abs(off[axis]) - half[axis] - _extent(turns[k], frames[s], sizes[s], boxes[s], direction))
-            gaps[n], places[n] = gap, centre + reach * push
+            x, y, z = _times(turns[k], centres[s, 0], centres[s, 1], centres[s, 2])
+            off[0], off[1], off[2] = x + shifts[k, 0] - origin[0], y + shifts[k, 1] - origin[1], z + shifts[k, 2] - origin[2]
+            _product(turns[k], frames[s], axes)
+            reach = _reach(axes, sizes[s], boxes[s], push, off, half)
+            gap = -(off[0] * push[0] + off[1] * push[1] + off[2] * push[2]) - half[1] - reach
+            for i in (0, 2):  # how far it reaches along x, and along z
+                if boxes[s]:
+                    extent = abs(axes[i, 0]) * sizes[s, 0] + abs(axes[i, 1]) * sizes[s, 1] + abs(axes[i, 2]) * sizes[s, 2]
+                else:
+                    extent = abs(axes[i, 2]) * sizes[s, 1] + sizes[s, 0]
+                gap += BESIDE * max(0.0, abs(off[i]) - half[i] - extent)
+            gaps[n] = gap
+            for i in range(3):
+                places[n, i] = off[i] + origin[i] + reach * push[i]
             places[n, 2] = min(max(places[n, 2], origin[2] - half[2]), origin[2] + half[2])
     least, distance, where = gaps.min() if len(mine) else FAR, FAR, np.zeros(3)
     if least < FAR:
@@ -157,9 +181,12 @@ def gap_of(
         for n in range(len(mine)):
             shares[n] = active[mine[n]] * np.exp((least - gaps[n]) / BLUR)
             total += shares[n]
-        shares /= total
-        distance = shares @ gaps
-        where = shares @ places
+        distance = 0.0
+        for n in range(len(mine)):
+            shares[n] /= total
+            distance += shares[n] * gaps[n]
+            for i in range(3):
+                where[i] += shares[n] * places[n, i]
     return distance, where, shares, places
 
 
