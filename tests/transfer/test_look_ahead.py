@@ -5,6 +5,7 @@ import pytest
 from toy_transfer import SOURCE, TARGETS, TOLERANCE, Toy, config, error_at, records, transfer_of
 
 from toolkit.evolution import Terminal
+from toolkit.learning.exploration import SearchConfig
 
 pytestmark = pytest.mark.usefixtures("unhurried")
 
@@ -94,3 +95,45 @@ def test_the_search_trains_where_a_look_succeeded_sometimes(tmp_path):
     for call in toy.of(training=True):
         np.testing.assert_allclose(call["alphas"], np.tile(TARGETS[0].alpha, (len(call["seeds"]), 1)), atol=1e-12)
     assert set(transfer.arrived) == {"left"} and not records(transfer, "budget")
+
+
+class Hurdle(Toy):
+    """All robots but the source want the same; up to four tenths of the way only a third of the seeds allow it."""
+
+    def one(self, actor, alpha, seed):
+        share = float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha))
+        hopeless = 0.01 < share < 0.4 and seed % 3 > 0
+        return super().one(actor, np.array([9.0 if hopeless else 0.3 if share > 0.01 else 0.0, 0.0, 0.0]), seed)
+
+
+@pytest.mark.parametrize("learner, most", [("search", 100), ("npg", 1_500)])
+def test_what_was_learned_in_vain_is_tried_farther_on(tmp_path, learner, most):
+    """No robot within reach of the first step can have the success that moving on takes; what it teaches is all that the end asks."""
+    toy = Hurdle()
+    settings = config(learner=learner, patience=3, path_budget=2_000, search=SearchConfig(batch_size=8))
+    transfer = transfer_of(tmp_path / "run", settings, toy, targets=TARGETS[:1])
+    transfer.pending[0].looked, transfer.pending[0].stride = True, 0.2
+    transfer.meta_evolve()
+    events = records(transfer)
+    move = next(i for i, r in enumerate(events) if r["event"] == "moved")
+    turns = {r.get("turn") for r in events[:move] if r["event"] == "update"}
+    assert turns == ({"offset"} if learner == "search" else {None}), "one turn was enough to see that it holds farther on"
+    assert events[move]["trained"] and events[move]["stride"] > 0.5 and events[move - 1]["event"] in ("look", "explore")
+    trained = sum(len(call["seeds"]) for call in toy.of(training=True))
+    assert 0 < trained <= most, f"{trained} training episodes"
+
+
+def test_training_goes_on_farther_where_more_succeeds_than_here(tmp_path):
+    """A look that does not hold, but is better than what was reached on the nearer robot, says where to train."""
+    toy = Toy()
+    rates = {True: 0.25, False: 0.6}  # before and behind the middle of the way
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, np.array([0.0 if seed % 20 < 20 * rates[alpha[0] < 0.4] else 9.0, 0, 0]), seed)
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=2, check_episodes=20), toy, targets=TARGETS[:1])
+    (branch,) = transfer.pending
+    branch.begin_phase(0.25 * TARGETS[0].alpha)
+    branch.best_success = 0.25
+    assert transfer.look_ahead.look_farther(branch, branch.next_alpha, transfer.way.evolution_tree(branch))
+    np.testing.assert_array_equal(branch.next_alpha, TARGETS[0].alpha)
+    assert not branch.alpha.any() and branch.best_success == 0 and not toy.of(training=True)
+    branch.best_success = 0.7
+    assert not transfer.look_ahead.look_farther(branch, 0.25 * TARGETS[0].alpha, transfer.way.evolution_tree(branch))

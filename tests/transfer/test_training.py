@@ -106,7 +106,7 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     for success in (0.3, 0.2):
         branch.policy.set_parameters(branch.policy.parameters + 0.01)
         outcome = transfer.training.keep_best(branch, success)
-    assert outcome == "training" and branch.turn == "weights", "the search's turn is over"
+    assert outcome == "turned" and branch.turn == "weights", "the search's turn is over"
     np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
     assert transfer.training.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 
@@ -117,7 +117,7 @@ def test_the_weights_have_a_turn_before_a_nearer_robot_where_they_can_learn(tmp_
     (branch,) = transfer.pending
     branch.begin_phase(np.full(3, 0.3))
     transfer.training.keep_best(branch, best)
-    assert transfer.training.keep_best(branch, 0.1) == ("stalled" if turn is None else "training")
+    assert transfer.training.keep_best(branch, 0.1) == ("stalled" if turn is None else "turned")
     assert turn is None or branch.turn == turn
     assert transfer.training.keep_best(branch, 0.1) == "stalled", "after both turns a nearer robot is tried"
 

@@ -9,8 +9,8 @@ from toolkit.transfer.settings import TransferConfig
 from toolkit.transfer.way import Way
 
 LOOKS = (1.0, 0.75, 0.5, 0.25, 0.125)
-"""Shares of the way ahead at which a phase begins by looking, the farthest first: success is not monotone along a way, so a failure
-says nothing of the robots behind it."""
+"""Shares of the way ahead at which is looked when a phase begins, and when a turn of it was in vain, the farthest first: success is not
+monotone along a way, so a failure says nothing of the robots behind it."""
 
 
 class LookAhead:
@@ -64,6 +64,34 @@ class LookAhead:
                 if parted:
                     return parted
         return [branch]
+
+    def look_farther(self, branch: Branch, robot: np.ndarray, step: MetaStep) -> bool:
+        """Go to the farthest robot beyond ``robot`` (D,), for which it is being trained, on which the policy holds; if there is none,
+        train for the one on which it succeeds most often, if that is more often than on ``robot``.
+
+        What was learned for a robot that cannot do much may do on better ones behind it, and where the way turns a corner, on the straight
+        way as well.
+
+        Returns:
+            whether it goes elsewhere now.
+        """
+        reach, end = float(np.linalg.norm(robot - branch.alpha)), self.way.ahead(branch, step)
+        most, better = max(branch.best_success, self.config.noisy_threshold), None
+        for last in (end,) if end is step.meta_alpha else (step.meta_alpha, end):
+            distance = float(np.linalg.norm(last - branch.alpha))
+            for share in LOOKS:
+                if share * distance > reach + self.config.xi:
+                    candidate = branch.alpha + share * (last - branch.alpha) if share < 1.0 else last
+                    held, success = self.look(branch, self.players.engine, candidate)
+                    if held:
+                        self.way.move(branch, candidate, share * distance, trained=True)
+                        return True
+                    if success > most:
+                        most, better = success, candidate
+        if better is None:
+            return False
+        branch.begin_phase(better)
+        return True
 
     def holds(self, branch: Branch, robot: np.ndarray) -> bool:
         """Whether the policy has the success on F(alpha) at the robot (D,) that moving on there takes."""

@@ -159,20 +159,26 @@ class Transfer:
             self.sampler.say(Spent(reach=distance), branch)
             self.way.move(branch, goal, branch.stride, trained=False)
         elif branch.next_alpha is not None:
-            self.train_for_next(branch, branch.next_alpha)
+            self.train_for_next(branch, branch.next_alpha, step)
         elif self.config.step == "adaptive" and not branch.looked:
             return self.look_ahead.look_ahead(branch, step)
         else:
             self.stride.choose(branch, goal)
         return [branch]
 
-    def train_for_next(self, branch: Branch, robot: np.ndarray) -> None:
-        """One update for the next robot (D,); go there once the policy holds on it."""
+    def train_for_next(self, branch: Branch, robot: np.ndarray, step: MetaStep) -> None:
+        """One update for the next robot (D,); go there once the policy holds on it, or farther on once it holds there before."""
         outcome = self.training.train_to(branch, self.players.engine, robot, self.config.threshold, self.config.check_episodes,
                                          exploring=self.look_ahead.asks_noise(branch, robot))
         if outcome == "held":
             self.way.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=True)
-        elif outcome == "stalled":
+            return
+        ended = outcome == "turned" or (outcome == "stalled" and branch.turns > 0)
+        if ended and self.look_ahead.look_farther(branch, robot, step):
+            return
+        if outcome == "turned":
+            outcome = self.training.learn(branch, self.players.engine, robot, branch.best_success)
+        if outcome == "stalled":
             self.stride.try_nearer(branch)
 
     def split(self, branch: Branch, step: MetaStep) -> list[Branch]:

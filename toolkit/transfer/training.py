@@ -1,6 +1,7 @@
 """One phase of training: measure, learn, and say when the policy holds, when its budget is spent, when another robot should be tried.
 
     Training.train_to   one update towards a success on one robot, by whichever learner has its turn
+    Training.learn      the update itself
     Training.keep_best  the search's turns: offsets, gains, responses, the weights, and back to the best policy after each
     Training.measure_anew  what was chosen by its success on starts by which it was not chosen
     Training.leave      a target where all turns are over, or not yet
@@ -19,9 +20,9 @@ from toolkit.transfer.settings import TransferConfig
 NUMBED = 1 / 2
 """Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
 
-Outcome = Literal["held", "kept", "spent", "training", "over", "stalled"]
+Outcome = Literal["held", "kept", "spent", "training", "turned", "over", "stalled"]
 """Of an update: the policy has the success asked for; nothing brings more and it is enough; the path's budget is spent; none yet, nor
-when all turns on a target are over; a nearer robot should be tried."""
+when on the way a turn has ended before anything was learned, nor when all turns on a target are over; a nearer robot should be tried."""
 
 
 class Training:
@@ -62,12 +63,19 @@ class Training:
                 return "held"
             if self.search is None:
                 _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
+                branch.best_success = success
+                if self._in_vain(branch):
+                    return "turned"
             else:
                 outcome = self.keep_best(branch, success)
                 if outcome == "over":
                     outcome = self.leave(branch, self.measure_anew(branch, player, alpha, wanted, episodes, again=asked))
                 if outcome != "training":
                     return outcome
+        return self.learn(branch, player, alpha, success)
+
+    def learn(self, branch: Branch, player: Player, alpha: np.ndarray, success: float) -> Outcome:
+        """One update on the robot ``alpha`` (D,), where the policy was measured to have that ``success``."""
         if branch.ledger.cost.sim_epochs >= self.config.path_budget:
             branch.return_to_best()
             self.sampler.say(Spent(), branch)
@@ -82,11 +90,18 @@ class Training:
         learned = self.search.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)
         return "stalled" if first and not learned and self._nearer(branch) else "training"
 
+    def _in_vain(self, branch: Branch) -> bool:
+        """Of NPG on the way by adaptive steps: whether so many measurements were in vain that it should be asked elsewhere, too."""
+        if branch.next_alpha is None or self.config.step == "fixed" or branch.updates == 0:
+            return False
+        branch.idle = (branch.idle + 1) % self.config.patience
+        return branch.idle == 0
+
     def keep_best(self, branch: Branch, success: float) -> Outcome:
         """Of the search: remember the policy if it is the phase's best; return to it and end a turn that brought no better one for long.
 
-        Offsets come first, then gains, responses and the weights, if the best succeeds often enough to learn from. On the way another
-        robot is tried after that; a target is measured anew.
+        Offsets come first, then gains, responses and the weights, if the best succeeds often enough to learn from. On the way other
+        robots are asked after every turn, and another one is tried after the last; a target is measured anew.
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
@@ -100,7 +115,7 @@ class Training:
         if on_the_way and (over or (self._nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
         branch.begin_turn(self._turns[branch.turns % len(self._turns)])
-        return "over" if over and not on_the_way else "training"
+        return "turned" if on_the_way else "over" if over else "training"
 
     def measure_anew(
         self, branch: Branch, player: Player, alpha: np.ndarray, wanted: float, episodes: int, again: bool = False
