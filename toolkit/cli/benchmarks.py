@@ -68,12 +68,13 @@ def bench_transfer(
     from toolkit.benchmarks.paper import PAPER
     from toolkit.benchmarks.results import finished_runs, results_json, write_results
 
-    command = told("bench", "transfer", "--suite", suite)
-    page = write_results(out, title, command, PAPER[suite])
+    trouble = [f"{name} did not finish: {why}" for name, why in failed.items()]
     broken: list[str] = []
     runs = finished_runs(out, broken.append)
-    emit(results_json(runs) if json else None, json, f"{page}: the table and its pictures")
-    trouble = [f"{name} did not finish: {why}" for name, why in failed.items()] + [f"left out of the page: {why}" for why in broken]
+    trouble += [f"left out of the page: {why}" for why in broken]
+    if runs or not trouble:
+        page = write_results(out, title, told("bench", "transfer", "--suite", suite), PAPER[suite])
+        emit(results_json(runs) if json else None, json, f"{page}: the table and its pictures")
     if trouble:
         raise ToolkitError("; ".join(trouble))
 
