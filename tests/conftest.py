@@ -24,6 +24,23 @@ settings.load_profile("repeatable")
 pytest.register_assert_rewrite("command_line", "toy_transfer", "toy_trees")  # its asserts say what differs, as those of a test do
 logging.getLogger("robosuite_logs").addFilter(lambda record: False)  # robosuite warns of parts that no arm here has
 
+TOGETHER = ("tests/demonstrations/", "tests/export/", "tests/inspection/")
+"""Folders whose files share what takes long to make: a recording retargeted, a bundle measured, a run played and drawn."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """`--dist loadfile` that takes each of these folders for one file, so that what it makes is made once."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class LoadFolders(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return next((folder for folder in TOGETHER if nodeid.startswith(folder)), super()._split_scope(nodeid))
+
+    return LoadFolders(config, log)
+
 
 @pytest.fixture(scope="session")
 def task():

@@ -220,3 +220,9 @@ def test_nothing_heavy_is_loaded_without_need(module, heavy):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip().splitlines()[-1] == "[]", f"import {module} loads {done.stdout.strip()}"
+
+
+@pytest.mark.slow
+def test_training_code_needs_no_rerun():
+    program = "import sys, toolkit.runs.phases, toolkit.runs.run, toolkit.transfer.pipeline; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0

@@ -1,9 +1,7 @@
-"""What the merge keeps of each robot: F(beta) beside the unmodified robosuite robot, measured; and the picture of the merged tree, which
-needs all robots matched as well."""
+"""What the merge keeps of each robot: F(beta) beside the unmodified robosuite robot, measured."""
 
 import json
 
-import matplotlib.image
 import mujoco
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from robots import ROBOTS
 from toolkit.benchmarks import parity as measure
 from toolkit.benchmarks.parity import parity
 from toolkit.errors import ToolkitError
-from toolkit.inspection.merged_tree import COLOURS, plot_merged_tree
 from toolkit.morphology.matching import CUBE
 
 KEYS = [
@@ -104,20 +101,3 @@ def test_a_robot_that_was_not_merged_is_refused(merged):
 
     with pytest.raises(ToolkitError, match="'spot' is not in this merged robot; it has adroit"):
         parity(merged, Stranger())
-
-
-# -- the picture ---------------------------------------------------------------------------------------------
-
-
-def test_the_merged_tree_is_drawn(matching, tmp_path):
-    plot_merged_tree(matching, tmp_path / "tree.png")
-    image = matplotlib.image.imread(tmp_path / "tree.png")[..., :3]
-    for colour in COLOURS[: len(matching.names)]:
-        rgb = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-        share = float((np.abs(image - rgb) < 0.02).all(axis=2).mean())
-        assert share > 0.001, f"{colour} covers {share:.2%} of the picture"
-
-
-def test_an_unknown_picture_format_is_one_sentence(matching, tmp_path):
-    with pytest.raises(ToolkitError, match=r"name a \.png or \.svg file"):
-        plot_merged_tree(matching, tmp_path / "tree.nonsense")

@@ -120,10 +120,6 @@ def test_a_truncated_file_is_refused(tmp_path, share, kind):
     refusal(path)
 
 
-def test_a_missing_file_is_said(tmp_path):
-    assert "cannot be read (No such file or directory)" in refusal(tmp_path / "none.pickle")
-
-
 @settings(max_examples=200)
 @given(st.binary(max_size=60))
 def test_no_bytes_bring_the_reader_down(tmp_path_factory, content):

@@ -1,7 +1,4 @@
-"""From a recorded hand to a robot hand: distances, inverse kinematics, the replay.
-
-The replay is tried here, too, as it plays what is retargeted: one recording is made, read and retargeted for all.
-"""
+"""From a recorded hand to a robot hand: distances and inverse kinematics."""
 
 import mink
 import mujoco
@@ -11,34 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from grippers.gripper import COMMANDED_ROLES
 from robots import ROBOTS
-from tasks import TASKS
 from tasks.dexycb.recording import FINGERS, JOINT_NAMES
-from tasks.dexycb.standin import SERIALS, write_standin
 from tasks.objects import OBJECTS
 from tasks.pick import START_ROTATION
-from toolkit.demonstrations.replay import Dropped, Retargeter, teachers_for
 from toolkit.demonstrations.retargeting import DIGIT, REACHABLE, HandModel, touching
 from toolkit.errors import ToolkitError
 from toolkit.simulation.plant import CLOSING
 
 BOX, CAN = OBJECTS["061_foam_brick"], OBJECTS["005_tomato_soup_can"]
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory):
-    root = tmp_path_factory.mktemp("standin") / "root"
-    write_standin(root, ["061_foam_brick"], each=1, seed=0)
-    return root
-
-
-@pytest.fixture(scope="module")
-def retargeter(root):
-    return Retargeter(root, ROBOTS["adroit"])
-
-
-@pytest.fixture(scope="module")
-def demonstration(retargeter):
-    return retargeter.demonstration(retargeter.read(retargeter.names[0]))
 
 
 # -- distances -----------------------------------------------------------------------------------------------
@@ -124,62 +101,3 @@ def test_the_grasp_frame_is_the_plants(demonstration):
     np.testing.assert_allclose(here, there, atol=1e-6)
     turned = np.linalg.norm(mink.SO3.from_matrix(motion.grasp_rotation[0] @ START_ROTATION.T).log())
     assert turned < 0.6, f"a palm that comes down flat starts {turned:.2f} rad from the robot's start"
-
-
-# -- replay --------------------------------------------------------------------------------------------------
-
-
-def test_a_recorded_pick_is_played_again_in_simulation(retargeter, demonstration):
-    assert demonstration.succeeded, f"the replay fails after {demonstration.steps} steps"
-    trace = retargeter.trace(demonstration)
-    assert trace.success and len(trace.qpos) == demonstration.steps + 1
-    np.testing.assert_allclose(trace.goal - trace.qpos[0, -7:-4], demonstration.scene.task.goal_offset, atol=1e-6)
-    figures = demonstration.to_json()
-    assert figures["replay_succeeded"] and figures["tip_error_mm"] == pytest.approx(1e3 * demonstration.motion.tip_error.mean())
-
-
-def test_a_hand_that_misses_is_dropped_and_counted(root, tmp_path):
-    import shutil
-
-    wrong = tmp_path / "wrong"
-    shutil.copytree(root, wrong)
-    for serial in SERIALS:
-        for file in wrong.glob(f"*/*/{serial}/labels_*.npz"):
-            with np.load(file) as arrays:
-                content = dict(arrays)
-            if (content["joint_3d"] != -1).any():
-                content["joint_3d"] += np.float32([0.15, 0.0, 0.0])
-            np.savez(file, **content)
-    with pytest.raises(ToolkitError, match="none of 1 recordings of 061_foam_brick in .* can be followed"):
-        teachers_for(wrong, ROBOTS["adroit"], TASKS["061_foam_brick"])
-
-
-def test_an_object_that_nobody_recorded_is_said(root):
-    with pytest.raises(ToolkitError, match="no recording of 008_pudding_box; it has: 061_foam_brick"):
-        teachers_for(root, ROBOTS["adroit"], TASKS["008_pudding_box"])
-
-
-def test_an_empty_folder_is_said(tmp_path):
-    with pytest.raises(ToolkitError, match="expected folders <subject>/<time>/meta.yml, found none"):
-        Retargeter(tmp_path, ROBOTS["adroit"])
-
-
-def test_a_broken_recording_stops_with_its_sentence(root, tmp_path):
-    import shutil
-
-    shutil.copytree(root, tmp_path / "broken")
-    next((tmp_path / "broken").glob("*/*/pose.npz")).write_bytes(b"PK")
-    retargeter = Retargeter(tmp_path / "broken", ROBOTS["adroit"])
-    with pytest.raises(ToolkitError, match="pose.npz: expected a whole .npz file"):
-        retargeter.read(retargeter.names[0])
-
-
-def test_the_clip_is_drawn(retargeter, demonstration, tmp_path):
-    from toolkit.inspection.recording.hands import Clip, record_clips
-
-    d, trace = demonstration, retargeter.trace(demonstration)
-    clip = Clip(d.recording.name, d.scene.task.object, 0.04, d.scene.joints(d.recording), d.scene.object_poses(d.recording), d.hand,
-                d.motion.frames, d.motion.qpos, trace.model, trace.qpos, 0.05, "reaches the goal")
-    record_clips(tmp_path / "hands.rrd", [clip, clip])
-    assert (tmp_path / "hands.rrd").stat().st_size > 10**5
-    assert not isinstance(d, Dropped)

@@ -1,18 +1,12 @@
 """Laboratory conditions: each changes what it says, nominal ones change nothing, and a test that was stopped goes on."""
 
-import hashlib
-import json
 
 import numpy as np
 import pytest
 
 from robots import ROBOTS
-from toolkit.bundle.manifest import Held
-from toolkit.cli import main
 from toolkit.errors import ToolkitError
 from toolkit.evaluation.stress import CONDITIONS, Ledger, StressedRobot, Tried, pair_trials, ranges_of, single_trials
-from toolkit.export.labels import holds_of
-from toolkit.export.packing import _held
 
 UP = np.array([0, 0, 0.3, 0, 0, 0, -1.0])
 
@@ -122,47 +116,3 @@ def test_a_ledger_goes_on_after_a_torn_line_and_refuses_anothers(tmp_path):
     assert list(Ledger(file, about).known.values()) == [True, False]
     with pytest.raises(ToolkitError, match="is of another stress test"):
         Ledger(file, {"policy": "b"})
-
-
-@pytest.mark.slow
-def test_the_command(tmp_path, capsys):
-    options = ["stress", "kinova3", "--episodes", "1", "--conditions", "delay", "--pairs", "0", "--workers", "1", "--out", str(tmp_path),
-               "--plot", str(tmp_path / "p.png"), "--json"]
-    main(options)
-    found = json.loads(capsys.readouterr().out)
-    assert [row["conditions"] for row in found["alone"]] == [{}, *({"delay": float(n)} for n in (1, 2, 3, 4))]
-    assert found["alone"][0]["success_rate"] == 1.0 and found["ranges"]["delay"]["low"] == 0.0
-    assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG" and json.loads((tmp_path / "result.json").read_text()) == found
-    lines = (tmp_path / "episodes.jsonl").read_text()
-    main(options)
-    assert json.loads(capsys.readouterr().out) == found and (tmp_path / "episodes.jsonl").read_text() == lines, "nothing is played twice"
-    with pytest.raises(SystemExit):
-        main(["stress", "kinova3", "--target", "jaco"])
-    assert "leave --target jaco out" in capsys.readouterr().err
-
-
-def test_ranges_go_into_a_bundle_only_from_a_test_of_its_own_policy(tmp_path):
-    policy = tmp_path / "run.policy.safetensors"
-    policy.write_bytes(b"a policy")
-    result = {
-        "policy": hashlib.sha256(b"a policy").hexdigest(), "target": "jaco", "task": "pick", "episodes": 20,
-        "ranges": {"delay": {"low": 0.0, "high": 2.0, "unit": "steps", "nominal": 0.0, "meaning": "late"}},
-        "alone": [{"conditions": {}}, *({"conditions": {"delay": float(n)}} for n in (1, 2, 3))],
-    }
-    (tmp_path / "result.json").write_text(json.dumps(result))
-    held = Held("delay", "steps", "late", 0.0, 0.0, 2.0, 0.0, 3.0, 20)
-    assert holds_of(tmp_path, policy, "jaco", "pick") == (held,)
-    table = "\n".join(_held((held,)))
-    assert "## Where it holds" in table and "| late [steps] | 0 | 0 to 2 | 0 to 3 |" in table and "20 episodes" in table
-    assert _held(()) == []
-    with pytest.raises(ToolkitError, match="is of target jaco, but what is exported is iiwa; give its own stress test"):
-        holds_of(tmp_path, policy, "iiwa", "pick")
-    policy.write_bytes(b"another policy")
-    with pytest.raises(ToolkitError, match="is of policy .*; give its own stress test"):
-        holds_of(tmp_path, policy, "jaco", "pick")
-    policy.write_bytes(b"a policy")
-    (tmp_path / "result.json").write_text(json.dumps(result | {"ranges": {"delay": {"low": 1.0}}}))
-    with pytest.raises(ToolkitError, match="is no result of a stress test"):
-        holds_of(tmp_path, policy, "jaco", "pick")
-    with pytest.raises(ToolkitError, match="give the folder of a finished stress --out"):
-        holds_of(tmp_path / "nowhere", policy, "jaco", "pick")

@@ -1,5 +1,9 @@
-"""A bundle of each target, written once for all tests of bundles: the measuring that goes into one takes ten seconds and more."""
+"""A bundle of each target, written once for all tests of bundles: the measuring that goes into one takes ten seconds and more.
 
+A file to itself would measure it again: tests/conftest.py keeps these files together in one process.
+"""
+
+import json
 from types import SimpleNamespace
 
 import pytest
@@ -37,3 +41,14 @@ def exported(policy, says, task, tmp_path_factory):
         return done[name]
 
     return export
+
+
+@pytest.fixture(scope="session")
+def alone(exported):
+    """name -> (folder, its manifest.json as plain JSON)."""
+
+    def read(name):
+        folder, _ = exported(name)
+        return folder, json.loads((folder / "manifest.json").read_text())
+
+    return read

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wire_messages import asked, framed
 
 import toolkit.export.twin
 from robots import ROBOTS
 from toolkit import cli
-from toolkit.cli import main
-from toolkit.cli.deployment import _address, _loopback
 from toolkit.deploy import wire
 from toolkit.deploy.arm import Command
 from toolkit.deploy.drivers.sim import SimDriver
@@ -24,14 +23,6 @@ from toolkit.errors import ToolkitError
 from toolkit.export.twin import Twin, serve
 
 ROOT = Path(cli.__file__).parents[2]
-
-
-def framed(content):
-    return struct.pack(">I", len(content)) + content
-
-
-def asked(**message):
-    return framed(json.dumps(message).encode())
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +101,6 @@ ODD = {
                                                     "waypoints": [[0.4, 0, 0.4, 1, 0, 0, 0]]}),
 }
 """These are refused by a sentence, and the client is served on."""
-
 
 @pytest.mark.parametrize("name", NONSENSE)
 def test_nonsense_ends_its_client_and_not_the_twin(port, name):
@@ -245,46 +235,6 @@ def test_commands_at_the_edge_of_sense_leave_it_alive(twin, form, size):
 # -- the other side of the wire ------------------------------------------------------------------------------
 
 
-def answering(content):
-    """A server that answers every client with some bytes."""
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def answer():
-        try:
-            while True:
-                connection, _ = listener.accept()
-                connection.recv(100)
-                connection.sendall(content)
-                connection.close()
-        except OSError:
-            pass
-
-    threading.Thread(target=answer, daemon=True).start()
-    return listener
-
-
-FOREIGN = {
-    "http": b"HTTP/1.1 400 Bad Request\r\n\r\n", "nothing": b"", "bad json": framed(b"{nope"), "a list": framed(b"[]"),
-    "deep": framed(b"[" * 50_000), "no description": asked(number=1), "odd entries": asked(number=1, colour="red"),
-    "names that are none": asked(number=1, robot=3, joints=[1], fingers=[], forms=["osc"], rate_hz="fast"),
-    "late": asked(number=0, robot="kinova3"),
-}
-
-
-@pytest.mark.parametrize("name", FOREIGN)
-def test_what_answers_in_place_of_a_twin_is_named(name):
-    with answering(FOREIGN[name]) as listener:
-        port = listener.getsockname()[1]
-        with pytest.raises(ToolkitError, match=f"127.0.0.1:{port}"):
-            SimDriver("127.0.0.1", port).connect()
-
-
-@pytest.mark.parametrize("text", ["5005", "host:", ":5005", "host:0", "host:65536", "host:" + "9" * 20, "host:5005x", "host:\u0665"])
-def test_an_address_that_is_none_is_refused(text):
-    with pytest.raises(ToolkitError, match="is no HOST:PORT"):
-        _address(text)
-
-
 @pytest.mark.parametrize("token, said", [("", "knows its token"), ("wrong", "knows its token"), ("right", ""), ("r\u00efght", "knows")])
 def test_a_twin_with_a_token_serves_only_who_knows_it(twin, token, said):
     twin.begin(0)
@@ -309,41 +259,6 @@ def test_a_twin_with_a_token_serves_only_who_knows_it(twin, token, said):
     listener.close()
 
 
-def test_beyond_this_machine_a_token_is_asked_for():
-    for host, local in (("127.0.0.1", True), ("127.0.0.2", True), ("0.0.0.0", False)):
-        with socket.create_server((host, 0)) as listener:
-            assert _loopback(listener) is local
-
-
-def test_an_address_of_the_sixth_version_is_taken():
-    assert _address("[::1]:5005") == ("::1", 5005)
-
-
-@pytest.mark.parametrize("options, said", [
-    (("--port", "65536"), "port is 65536"), (("--port", "-1"), "port is -1"), (("--port", "99999999999"), "port is 99999999999"),
-    (("--host", "no.such.host.invalid"), "cannot be listened on"), (("--host", "x" * 300), "cannot be listened on"),
-    (("--host", "203.0.113.7", "--port", "5005"), "cannot be listened on"),
-])
-def test_a_port_that_cannot_be_listened_on_is_named(capsys, options, said):
-    with pytest.raises(SystemExit) as stop:
-        main(["twin", "kinova3", *options])
-    assert stop.value.code == 2 and said in capsys.readouterr().err
-
-
-def test_a_port_that_is_taken_is_named(capsys):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        with pytest.raises(SystemExit) as stop:
-            main(["twin", "kinova3", "--port", str(taken.getsockname()[1])])
-    assert stop.value.code == 2 and "Address already in use" in capsys.readouterr().err
-
-
-def test_a_host_without_an_address_is_refused_without_patience():
-    began = time.monotonic()
-    with pytest.raises(ToolkitError, match="is no address of a twin"):
-        SimDriver("no.such.host.invalid", 5005).connect()
-    assert time.monotonic() - began < 60
-
-
 @pytest.mark.slow
 def test_the_command_outlives_stray_clients_too():
     process = subprocess.Popen([sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", "lockstep"], stdout=subprocess.PIPE,
@@ -364,38 +279,3 @@ def test_the_command_outlives_stray_clients_too():
         assert process.wait(20) == 0
     finally:
         process.kill()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("asked_for, has", [("lockstep", "real"), ("real", "lockstep")])
-def test_a_twin_of_another_pace_is_refused(asked_for, has, capsys):
-    """A lockstep client on a twin by the clock once failed every episode without a word."""
-    command = [sys.executable, "-m", "toolkit.cli", "twin", "kinova3", "--pace", has]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    try:
-        port = int(process.stdout.readline().rsplit(":", 1)[1])
-        with pytest.raises(SystemExit) as stop:
-            main(["deploy", "kinova3", "--connect", f"127.0.0.1:{port}", "--pace", asked_for, "--episodes", "1"])
-        assert stop.value.code == 2 and f"start it with --pace {asked_for}" in capsys.readouterr().err
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.mark.slow
-def test_a_twin_ends_with_the_deployment_that_started_it():
-    """Whose process may be killed without a word."""
-    command = [sys.executable, "-m", "toolkit.cli", "deploy", "kinova3", "--episodes", "50", "--pace", "lockstep"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, cwd=ROOT)
-    for line in process.stderr:
-        if "succeed" in line:
-            break
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    assert len(children) == 1
-    process.kill()
-    process.wait()
-    for _ in range(100):
-        if not Path(f"/proc/{children[0]}").exists():
-            return
-        time.sleep(0.1)
-    raise AssertionError("the twin lives on, an orphan")

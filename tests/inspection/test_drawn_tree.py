@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.inspection.drawn_tree import Plan
+from toolkit.inspection.drawn_tree import Plan, matrix
 from toolkit.inspection.report.figures import tree_figure
 
 ROOT = Path(__file__).parents[2]
@@ -57,3 +57,9 @@ def test_paths_are_named_as_a_transfer_names_them():
     assert Plan({"nodes": nodes, "edges": edges}).paths == ["path 1.1", "path 1.1.1", "path 1.1.2", "path 1.2"], (
         "s forks: 1 has nothing to do; 1.1 to t, which is a target, so that it parts; 1.2 to u"
     )
+
+
+def test_a_matrix_has_a_place_for_every_dimension(small):
+    places, rows, columns = matrix(small.space)
+    assert len({tuple(place) for place in places}) == small.space.size, "no two dimensions share a cell"
+    assert places[:, 1].max() + 1 == len(rows) and "anchor" in columns and "arm1" in rows

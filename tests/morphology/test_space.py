@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from robots import ROBOTS
 from toolkit.errors import ToolkitError
 from toolkit.morphology.arithmetic import directions
-from toolkit.morphology.quantities import QUANTITIES
 from toolkit.morphology.space import axis_to_tangent, gyration, tangent_basis
 
 every_robot = pytest.mark.parametrize("name", list(ROBOTS))
@@ -141,10 +140,6 @@ def test_a_dimension_stays_within_one_element(space):
     for dimension in range(space.size):
         elements = {p.element for p in space.parameters if p.dimension == dimension}
         assert len(elements) == 1, f"alpha[{dimension}] moves {sorted(elements)} together"
-
-
-def test_every_quantity_says_what_it_is(space):
-    assert list(QUANTITIES) == list(space.fields), set(QUANTITIES) ^ set(space.fields)
 
 
 def test_names_are_unique_and_say_where_each_robot_stands(space):

@@ -6,13 +6,10 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 
-import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.inspection.furniture import furniture, opacity
-from toolkit.inspection.report import page, stills
-from toolkit.inspection.visual import visual_of
+from toolkit.inspection.report import page
 from toolkit.runs.run import Run
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
@@ -120,57 +117,6 @@ def test_without_graphics_the_page_says_so(finished, small, tmp_path, monkeypatc
     monkeypatch.setattr(page, "renderer_of", refuse)
     told = page.write_report(finished, small.merged, small.tree("l1", "steiner").to_json(), tmp_path / "page").read_text(encoding="utf-8")
     assert "no off-screen rendering here" in told and "morph-1" not in told
-
-
-def test_stills_show_one_robot_turning_into_another(small):
-    try:
-        renderer = stills.ArmRenderer(visual_of(small.merged), (96, 96))
-    except ToolkitError as error:
-        pytest.skip(str(error))
-    source, target = small.space.betas
-    pictures = [renderer.take(source + share * (target - source)).astype(float) for share in (0.0, 0.5, 1.0)]
-    again = renderer.take(source).astype(float)
-    renderer.close()
-    np.testing.assert_array_equal(again, pictures[0])
-    apart = [np.abs(a - b).mean() for a, b in ((pictures[0], pictures[2]), (pictures[0], pictures[1]), (pictures[1], pictures[2]))]
-    assert apart[0] > apart[1] > 0.5 and apart[0] > apart[2] > 0.5, f"halfway lies between the ends: {apart}"
-
-
-def test_a_robot_stands_on_its_pedestal_at_a_table_with_legs(small):
-    """Between the floor and the arm's base, within 2 cm of both; four legs under the top."""
-    meshes = {mesh.name: mesh.vertices for mesh in furniture(small.space.matching.systems[0].model)}
-    table, pedestal = meshes["table"], meshes["fixed_mount0_pedestal"]
-    base = small.space.matching.systems[0].robot.base_position
-    assert abs(pedestal[:, 2].min()) < 0.2 and abs(pedestal[:, 2].max() - 0.912) < 0.02
-    assert pedestal[:, 0].min() < base[0] < pedestal[:, 0].max()
-    low = table[table[:, 2] < 0.1]
-    assert table[:, 2].max() == pytest.approx(0.8) and abs(low[:, 2].min()) < 1e-6
-    assert {(x > 0, y > 0) for x, y, _ in low} == {(a, b) for a in (False, True) for b in (False, True)}
-
-
-def test_one_robot_is_always_solid():
-    shares = np.linspace(0.0, 1.0, 21)
-    pairs = np.stack([shares, 1.0 - shares], axis=1)
-    shown = opacity(pairs, pairs.max(axis=1, keepdims=True))
-    assert (shown.max(axis=1) == 1.0).all() and (shown[[0, -1]].sum(axis=1) == 1.0).all()
-    assert (np.abs(np.diff(shown, axis=0)) < 0.4).all(), "it fades, and does not jump"
-    assert (shown[5] == (0.0, 1.0)).all(), "a robot that shows a quarter is not there"
-
-
-def test_the_goal_and_the_object_are_drawn_where_they_are(small):
-    try:
-        renderer = stills.ArmRenderer(visual_of(small.merged), (96, 96))
-    except ToolkitError as error:
-        pytest.skip(str(error))
-    nobody = (np.zeros((len(renderer.instances), 3)), np.tile((1.0, 0, 0, 0), (len(renderer.instances), 1)))
-    draw = lambda **more: renderer.draw(*nobody, np.zeros(2), **more).astype(int)  # noqa: E731
-    empty, high = draw(), draw(carried=np.array([-0.1, 0.0, 1.1, 1, 0, 0, 0]))
-    goal = draw(goal=np.array([-0.1, 0.0, 1.1]))
-    renderer.close()
-    red = lambda picture: np.argwhere(picture[..., 0] > picture[..., 1] + 80).mean(axis=0)  # noqa: E731
-    assert red(high)[0] < red(empty)[0] - 10, "the brick is lifted"
-    green = np.argwhere(np.abs(goal - empty).sum(axis=-1) > 30)
-    assert len(green) > 20 and np.abs(green.mean(axis=0) - red(high)).max() < 4, "the goal is where the brick was held"
 
 
 def test_walked_edges_carry_the_last_success(finished, small):
