@@ -46,12 +46,14 @@ def lineage_of(run: Path, target: str) -> Lineage:
     alpha = next((node["alpha"] for node in tree["nodes"] if node["name"] == target), None)
     if alpha is None:
         raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
-    route = next((names for names in report.get("routes", {}).values() if names and names[-1] == target), [target])
-    totals = report.get("totals", {})
+    routes = report.get("routes", {})
+    route = next((names for names in routes.values() if names and names[-1] == target), [target])
+    walked = [path for path, names in routes.items() if names and names == route[: len(names)]]  # not those to other targets
+    updates, episodes = (sum(report.get(key, {}).get(path, 0) for path in walked) for key in ("train_iterations", "sim_epochs"))
     return Lineage(
         source=next((node["name"] for node in tree["nodes"] if node["kind"] == "source"), "unknown"), route=tuple(route),
         alpha=tuple(map(float, alpha)), kind=tree["kind"], metric=tree["metric"],
-        train_iterations=int(totals.get("train_iterations", 0)), sim_epochs=int(totals.get("sim_epochs", 0)),
+        train_iterations=updates, sim_epochs=episodes,
     )
 
 

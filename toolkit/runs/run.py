@@ -296,7 +296,7 @@ _EVENTS = {"check": {"success": float}, "arrived": {"target": str}, "split": {"t
 
 
 def read_success(folder: Path) -> dict[str, Any]:
-    """What a run's report says of success, routes and totals, and perhaps no more; empty while there is none.
+    """What a run's report says of success, routes and the cost of their paths, and perhaps no more; empty while there is none.
 
     Raises:
         ToolkitError: it is damaged.
@@ -305,7 +305,8 @@ def read_success(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     report = read_object(file, mend)
-    shape = {"targets": {...: {"native": _EVALUATION | {"seed": int}}}, "routes": {...: [str]}, "totals": _COUNTS}
+    shape = {"targets": {...: {"native": _EVALUATION | {"seed": int}}}, "routes": {...: [str]}, "train_iterations": _COUNTS,
+             "sim_epochs": _COUNTS}
     return require(report, {key: one for key, one in shape.items() if key in report}, str(file), mend)
 
 
