@@ -29,3 +29,19 @@ def test_workers_leave_when_their_parent_is_killed(tmp_path):
     while Path(f"/proc/{worker}").exists() and "Z" not in Path(f"/proc/{worker}/stat").read_text().split(")")[1][:3]:
         assert time.monotonic() < deadline, f"worker {worker} outlived its parent"
         time.sleep(0.2)
+
+
+def test_errors_alone_come_through(tmp_path):
+    """Of robosuite's own logger, and of no other; in a process of its own, since a filter stays."""
+    code = (
+        "import logging, sys\n"
+        "from toolkit.quiet import silence_robosuite\n"
+        "logging.basicConfig(format='%(name)s %(message)s')\n"
+        "silence_robosuite()\n"
+        "for name in ('robosuite_logs', 'other'):\n"
+        "    for level in (logging.WARNING, logging.ERROR): logging.getLogger(name).log(level, logging.getLevelName(level))\n"
+        "sys.exit('robosuite' in sys.modules)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr.splitlines()) == (0, ["robosuite_logs ERROR", "other WARNING", "other ERROR"])
