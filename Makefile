@@ -1,6 +1,7 @@
 # After the install line of README.md. `make check` is what a change must pass; .ci/run does it from nothing, with the slow tests.
 PYTHON ?= .venv/bin/python
-# Processes that share the quick tests, file by file, so that what a file sets up is set up once. One takes up to 6 GB.
+# Processes that share the quick tests, file by file (some folder by folder: tests/conftest.py), so that what these set up is set up once.
+# One takes up to 6 GB.
 WORKERS ?= 2
 
 .PHONY: check lint format test test-all docs dist bundles

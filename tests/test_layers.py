@@ -226,3 +226,56 @@ def test_nothing_heavy_is_loaded_without_need(module, heavy):
 def test_training_code_needs_no_rerun():
     program = "import sys, toolkit.runs.phases, toolkit.runs.run, toolkit.transfer.pipeline; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}).returncode == 0
+
+
+# -- tests mirror the toolkit --------------------------------------------------------------------------------
+
+WITHOUT_TESTS = {
+    "errors": "one class and no code; every test of a refusal catches it",
+    "cli/__main__": "two lines that call the command line, as tests of whole commands do",
+    "morphology/patch": "a record; test_build.py compares all that F writes of it with a fresh compile",
+    "simulation/laws": "a table of names; whatever is played is made through it, in tests of plants, rollouts and watchers",
+}
+"""Modules that need no test file, each with why."""
+ACROSS_MODULES = {
+    "layers": "the order of all modules, and this",
+    "meta_evolve": "the public name, which stands beside toolkit/",
+    "cli/batches": "one bad item of many, whatever the command",
+    "cli/cluster": "--cluster, of every command that has it",
+    "cli/exits": "exit statuses, of every command",
+    "cli/markup": "names are data wherever they are shown",
+    "cli/outputs": "optional outputs, of every command",
+    "deploy/absent": "what a vendor reports as absent, for every driver",
+    "deploy/turns": "angles that repeat themselves, from observer to driver",
+    "expert/imitation": "an expert from recorded steps, from file to shelf",
+    "export/clients": "the twin with its driver and strangers at either end of the wire",
+    "inspection/family": "a run of a family's robots, from recording to film",
+    "inspection/lazy_reads": "what opens well and fails further on, whoever reads it",
+    "simulation/cluster_faults": "what goes wrong between engine, cluster and nodes",
+}
+"""Test files of a property of several modules, each with which."""
+
+
+def mirrored():
+    """(modules and packages of toolkit/, modules alone, names of the test files in folders of the same names)."""
+    named = lambda paths, root: {path.relative_to(root).with_suffix("").as_posix() for path in paths}  # noqa: E731
+    packages = {path.parent for path in TOOLKIT if path.name == "__init__.py"}
+    modules = named((path for path in TOOLKIT if path.name != "__init__.py"), ROOT / "toolkit")
+    folders = [ROOT / "tests" / package.relative_to(ROOT / "toolkit") for package in packages]
+    files = [file.with_name(file.name.removeprefix("test_")) for folder in folders for file in folder.glob("test_*.py")]
+    tested = named(files, ROOT / "tests")
+    return modules | named(packages - {ROOT / "toolkit"}, ROOT / "toolkit"), modules, tested
+
+
+def test_every_module_has_a_test_file_of_its_own():
+    _, modules, tested = mirrored()
+    missing, needless = modules - tested - set(WITHOUT_TESTS), set(WITHOUT_TESTS) & tested | set(WITHOUT_TESTS) - modules
+    assert not missing, f"write tests/<room>/test_<module>.py of {sorted(missing)}"
+    assert not needless, f"WITHOUT_TESTS names {sorted(needless)}, which has tests or is not there"
+
+
+def test_no_test_file_is_named_for_a_module_that_is_not_there():
+    there, _, tested = mirrored()
+    strange, needless = tested - there - set(ACROSS_MODULES), set(ACROSS_MODULES) - tested | set(ACROSS_MODULES) & there
+    assert not strange, f"tests/ mirrors toolkit/: move what tests one module to its file, or name {sorted(strange)} in ACROSS_MODULES"
+    assert not needless, f"ACROSS_MODULES names {sorted(needless)}, which is not there or is a module's own"
