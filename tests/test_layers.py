@@ -233,8 +233,6 @@ def test_training_code_needs_no_rerun():
 WITHOUT_TESTS = {
     "errors": "one class and no code; every test of a refusal catches it",
     "cli/__main__": "two lines that call the command line, as tests of whole commands do",
-    "morphology/patch": "a record; test_build.py compares all that F writes of it with a fresh compile",
-    "simulation/laws": "a table of names; whatever is played is made through it, in tests of plants, rollouts and watchers",
 }
 """Modules that need no test file, each with why."""
 ACROSS_MODULES = {
