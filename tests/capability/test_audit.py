@@ -13,6 +13,7 @@ from toolkit.capability.audit import (
     LEADS,
     SIDES,
     Audit,
+    Edge,
     Violation,
     Way,
     allowed,
@@ -171,6 +172,18 @@ def test_an_audit_of_too_few_robots_is_refused(arms):
 
 def test_a_violation_without_a_value_is_the_worst():
     assert Violation(0.5, "closing_steps", np.inf, (0.0, 10.0)).excess == np.inf
+
+
+def test_a_grip_from_one_side_breaks_all_of_a_small_balance():
+    assert Violation(0.5, "balance", 0.0, (0.15, np.inf)).excess == pytest.approx(1.0)
+    assert Violation(0.5, "height_mm", 1.2, (-5.0, 0.2)).excess == pytest.approx(1.0), "a millimetre beyond a limit near zero"
+
+
+def test_of_ways_as_bad_the_shorter_stretch_is_better():
+    robots = dict.fromkeys((0.0, 0.25, 0.5, 1.0))
+    way = Way("a", "b", np.zeros(2), np.ones(2))
+    short, long = (Edge(way, robots, [Violation(s, "balance", 0.0, (0.15, np.inf)) for s in bad]) for bad in ((0.25,), (0.25, 0.5)))
+    assert short.broken == long.broken and short.stretch == pytest.approx(0.25) and long.stretch == pytest.approx(0.625)
 
 
 def test_pairs_are_drawn_from_the_robots_of_the_tree():

@@ -107,3 +107,17 @@ def test_the_static_model_is_mujoco_s_own(merged, space):
                   and space.matching.slots[slot].name in ("FFJ2", "THJ4", "FFS", "THS")]
         off = np.abs(error[law._cuts["error"]])[driven]
         assert off.max() < 0.05, f"{space.matching.names[robot_index]}: {off}"
+
+
+@pytest.mark.parametrize("name", ["panda", "sawyer"])
+def test_a_slide_is_asked_for_no_more_than_its_lock_lets_its_motor(merged, space, name):
+    """Where a jaw's slide wakes or freezes, the posture on the box leaves it where 20 N hold it: the other joints have to get there."""
+    law, (model, data) = merged.law, merged.new()
+    slides = np.flatnonzero(law._sliding)
+    for share in (0.02, 0.05, 0.1, 0.15):
+        alpha = space.beta("adroit") + share * (space.beta(name) - space.beta("adroit"))
+        patch = merged.write(alpha, model, data)
+        motors = law.motors(alpha, patch, model, data)  # leaves the posture on the box in data
+        way = data.qpos[law._qpos[slides]]
+        lock = model.jnt_stiffness[law._joints[slides]]
+        assert (np.abs(way) * lock < 1.5 * motors.limit[slides]).all(), (share, way, lock, motors.limit[slides])

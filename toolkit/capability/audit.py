@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import pairwise, product
 from queue import SimpleQueue
 from typing import Any
 
@@ -41,6 +41,8 @@ HOLDS = 15 / 16
 """Success rate from which a script holds."""
 REFINED = 4
 """Robots that are looked at beside the evenly spaced ones, each between the worst so far and its neighbours."""
+SHARES, LEAST_SHARE = ("balance", "script"), 0.1
+"""Quantities without a unit, and the least limit [1] against which these are weighed; the others' is one of their unit."""
 QUANTITIES = {
     "grip_n": "grip force", "balance": "balance", "height_mm": "height of the grip", "opening_mm": "opening",
     "closing_steps": "closing time", "script": "the script",
@@ -116,7 +118,8 @@ class Violation:
         low, high = self.allowed
         if not np.isfinite(self.value):
             return float("inf")
-        return max(low - self.value, self.value - high) / max(abs(low if self.value < low else high), 1.0)
+        limit, least = abs(low if self.value < low else high), LEAST_SHARE if self.quantity in SHARES else 1.0
+        return max(low - self.value, self.value - high) / max(limit, least)
 
     def to_json(self) -> dict[str, Any]:
         """As plain numbers; an open limit is null."""
@@ -156,6 +159,12 @@ class Edge:
         for violation in self.violations:
             worst[violation.quantity] = max(worst.get(violation.quantity, 0.0), min(violation.excess, 1.0))
         return sum(worst.values()) + len(QUANTITIES) * ("script" in worst)
+
+    @property
+    def stretch(self) -> float:
+        """Share of the way on which it is broken."""
+        bad = {violation.share for violation in self.violations}
+        return sum((after - before) * ((before in bad) + (after in bad)) / 2.0 for before, after in pairwise(sorted(self.robots)))
 
     @property
     def ends(self) -> tuple[Capability, Capability]:
@@ -262,13 +271,14 @@ class Audit:
             self._idle.put(Bench(merged))
 
     def best(self, way: Way) -> Edge:
-        """A way audited as it is, or turned so that one side of the grasp goes first, whichever keeps the promise best."""
+        """A way audited as it is, or turned so that one side of the grasp goes first, whichever keeps the promise best; of equals the
+        one that breaks it for the shortest stretch."""
         found = [self.along(way)]
         for lead, side in product(LEADS, SIDES):
             other = way.bent(self.merged.space, side, lead) if found[-1].violations else None
             if other is not None:
                 found.append(self.along(other))
-        return min(found, key=lambda edge: edge.broken)
+        return min(found, key=lambda edge: (edge.broken, edge.stretch))
 
     def close(self) -> None:
         """Stop the workers."""

@@ -18,6 +18,9 @@ GAP, TILT, HEIGHT, PITCH, STAY = 1e3, 30.0, 1e2, 8.0, 1.0
 that asks. A pad that leans by 10 degrees touches with an edge, 20 mm from its middle."""
 FROZEN = 30.0
 """Weight of the departure of a joint that the robot lacks."""
+YIELDING = 30.0
+"""Stiffness [N/m] of a freezing slide's lock that doubles the weight of its departure: one of 20 kN/m, which 20 N of a motor move by a
+millimetre, weighs 700, one of 200 N/m less than a hinge that freezes."""
 SLIDE = 20.0
 """Radians that a metre of slide counts for."""
 BLUR = 1e-3
@@ -258,7 +261,7 @@ def held(
 
 @numba.njit(cache=True, nogil=True)
 def meet(
-    guess: np.ndarray, free: np.ndarray, chain: np.ndarray, anchors: np.ndarray, axes: np.ndarray, sliding: np.ndarray,
+    guess: np.ndarray, stay: np.ndarray, chain: np.ndarray, anchors: np.ndarray, axes: np.ndarray, sliding: np.ndarray,
     mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
     active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
     pitching: np.ndarray, faces: np.ndarray, gap: float, height: float, minding: float, tilt: float,
@@ -266,7 +269,7 @@ def meet(
     """One finger near a guess: its gap, the height of its nearest point and the lean of its pads as asked; without pads, its pitch.
 
     Args:
-        guess: (n_all,) [rad, m].  free: (n_all,) 1 for a joint, 0 for one that is frozen.
+        guess: (n_all,) [rad, m].  stay: (n_all,) weights of the joints' departures from it, STAY for one that is free.
         sideways: (3,) the axis about which a pad pitches.  pitching: (n_all,) bool, joints that turn the pad.
         gap: [m] to the box.  height: [m], world, of where it is nearest.  tilt: [rad] of its pads' faces.
         minding: share of their weight that these two have.  faces: as for ``tilt_of``.
@@ -280,7 +283,7 @@ def meet(
     lower, upper = np.empty((count + 4, count)), np.empty(count + 4)
     weight, scale = np.empty(count), np.ones(count)
     for k in range(count):
-        weight[k] = STAY + FROZEN * (1.0 - free[chain[k]])
+        weight[k] = stay[chain[k]]
         if sliding[chain[k]]:
             scale[k] = SLIDE
     up = np.array([0.0, 0.0, 1.0])

@@ -19,10 +19,10 @@ import numpy as np
 from grippers.gripper import DIGIT_OF, DIGITS, SLIDES, THUMB
 from tasks.pick import START_POSITION, START_ROTATION
 from toolkit.morphology.arithmetic import rotations
-from toolkit.morphology.contact import gap_of, held, levers, meet, place, tilt_of
+from toolkit.morphology.contact import FROZEN, STAY, YIELDING, gap_of, held, levers, meet, place, tilt_of
 from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
 from toolkit.morphology.patch import Patch
-from toolkit.morphology.space import EvolutionSpace
+from toolkit.morphology.space import FROZEN_SLIDE_STIFFNESS, FROZEN_WIDE_DECADES, EvolutionSpace
 
 MAIN_ROLES = (*SLIDES, *(digit.flexion for digit in DIGITS))
 """Joints whose motors close a finger and may stall; the finger's other joints hold its shape."""
@@ -54,6 +54,8 @@ FEEBLE = 1e-9
 """Torque limit [N m] of an actuator that a robot lacks: MuJoCo refuses none."""
 WEAKEST = 1e-9
 """Stiffness [N m/rad] of an actuator below which it does nothing."""
+SLIDE_FOLDS = np.log(10.0) * FROZEN_WIDE_DECADES
+"""A slide's lock stiffens by so many e-folds as it freezes."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,7 @@ class GraspLaw:
         self._push = np.array([-closing if finger == THUMB.name else closing for finger in self.fingers])
         self._main = np.array([slots[i].name in MAIN_ROLES for i in self.driven])
         self._sliding = np.array([slots[i].name in SLIDES for i in self.driven])
+        self._slides = np.flatnonzero(self._sliding)
         # Pads lie on the links that both hands and jaws have; the hand's last phalanx, beyond them, is round.
         self._pitching = np.array([slots[i].name not in (*SLIDES, DIGIT_OF[slots[i].name].tip) for i in self.driven])
         self._dimensions = [
@@ -222,16 +225,24 @@ class GraspLaw:
         """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, as high and as flat as asked; where they
         are nearest (n_fingers, 3), on their last links; and how much of each finger is there to touch (n_fingers,), 0 to 1."""
         out, points, solids, touches = angles.copy(), p.anchor[self._tips], self._solids(p), np.zeros(len(self.fingers))
-        free, anchors, axes = 1.0 - p.freeze[self.driven], p.anchor[self.driven], p.axis[self.driven]
+        anchors, axes, stay = p.anchor[self.driven], p.axis[self.driven], self._staying(p.freeze[self.driven])
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
             out[chain], points[f], touches[f] = meet(  # type: ignore[call-arg]  # as above
-                angles, free, chain, anchors, axes, self._sliding, self._own_shapes[f], self._link,
+                angles, stay, chain, anchors, axes, self._sliding, self._own_shapes[f], self._link,
                 *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces,  # type: ignore[arg-type]
                 gap[f], height[f], minding[f], tilt[f],
             )
         return out, points, touches
+
+    def _staying(self, freeze: np.ndarray) -> np.ndarray:
+        """Weights (n_driven,) of the joints' departures from a guess: those that freeze move less, and a slide no farther than its lock,
+        which is the joint's own spring, lets its motor."""
+        out = STAY + FROZEN * freeze
+        lock = FROZEN_SLIDE_STIFFNESS * np.expm1(SLIDE_FOLDS * freeze[self._slides]) / np.expm1(SLIDE_FOLDS)
+        out[self._slides] = STAY + lock / YIELDING
+        return out
 
     # ---- the robots' own grasps --------------------------------------------------------------------------------
 
