@@ -409,6 +409,7 @@ def plot_cost(runs: Sequence[Result], file: Path) -> None:
                 left += count
         panel.set(xlabel=f"{label}, by path", ylim=(len(runs) - 0.4, -0.6), yticks=range(len(runs)),
                   yticklabels=[run.name for run in runs])
+        panel.locator_params(axis="x", nbins=5)
     _save(figure, file)
 
 
