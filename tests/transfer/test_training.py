@@ -111,6 +111,20 @@ def test_the_best_policy_of_a_phase_is_returned_to(tmp_path):
     assert transfer.training.keep_best(branch, 0.5) == "training" and branch.best_success == 0.5 and branch.idle == 0
 
 
+def test_a_phase_without_success_goes_back_to_the_policy_it_began_with(tmp_path):
+    """Failures teach nothing: the policy that came holds on the robots before, and one that has strayed may hold nowhere."""
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=2), Toy())
+    (branch,) = transfer.pending
+    branch.begin_phase(np.full(3, 0.03))
+    first = branch.policy.copy()
+    for _ in range(3):
+        outcome = transfer.training.keep_best(branch, 0.0)
+        strayed = branch.policy.parameters + 0.01
+        branch.policy.set_parameters(strayed if outcome == "training" else branch.policy.parameters)
+    assert outcome == "turned" or outcome == "stalled"
+    np.testing.assert_array_equal(branch.policy.parameters, first.parameters)
+
+
 @pytest.mark.parametrize("best, turn", [(0.4, None), (0.6, "weights")])
 def test_the_weights_have_a_turn_before_a_nearer_robot_where_they_can_learn(tmp_path, best, turn):
     transfer = transfer_of(tmp_path / "run", config(learner="search", patience=1), Toy())

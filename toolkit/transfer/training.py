@@ -105,7 +105,7 @@ class Training:
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
-        if better or success == branch.best_success:  # of equals the later one: it has learned from more
+        if better or success == branch.best_success > 0:  # of equals the later one: it has learned from more; of failures the first
             branch.best, branch.best_success = branch.policy.copy(), success
         if branch.idle < self.config.patience:
             return "training"
