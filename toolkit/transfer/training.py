@@ -105,7 +105,8 @@ class Training:
         """
         better = branch.best is None or success > branch.best_success
         branch.idle = 0 if better else branch.idle + 1
-        if better or success == branch.best_success > 0:  # of equals the later one: it has learned from more; of failures the first
+        # Of equals the later one: it has learned from more. The search has not where it fails, NPG has on the window's nearer robots.
+        if better or (success == branch.best_success and (success > 0 or branch.turn == "weights")):
             branch.best, branch.best_success = branch.policy.copy(), success
         if branch.idle < self.config.patience:
             return "training"
