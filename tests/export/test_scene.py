@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from exported_targets import SHIPPED, plain
 
 from toolkit.bundle.reading import find_bundle
 from toolkit.errors import ToolkitError
@@ -17,14 +18,6 @@ from toolkit.export.scene import scene_mjcf
 from toolkit.morphology.native_scene import BASE_SITE, GRIP_SITE
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = ("jaco", "kinova3", "iiwa")
-PREFIXES = ("robot0_", "gripper0_right_")
-
-
-def plain(name):
-    for prefix in PREFIXES:
-        name = name.removeprefix(prefix)
-    return "object" if name == "object_main" else name
 
 
 def written(robot):

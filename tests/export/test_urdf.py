@@ -6,20 +6,12 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from exported_targets import SHIPPED, plain
 
 from toolkit.bundle.reading import load_bundle
 from toolkit.export.packing import RECORDED_SEED
 from toolkit.export.urdf import couplings, robot_urdf
 from toolkit.morphology.native_scene import GRIP_SITE
-
-SHIPPED = ("jaco", "kinova3", "iiwa")
-PREFIXES = ("robot0_", "gripper0_right_")
-
-
-def plain(name):
-    for prefix in PREFIXES:
-        name = name.removeprefix(prefix)
-    return "object" if name == "object_main" else name
 
 
 @pytest.fixture(scope="module")
