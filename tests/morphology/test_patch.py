@@ -6,7 +6,7 @@ import numpy as np
 
 from toolkit.morphology.patch import Patch
 
-ASKED = {"anchor", "freeze", "shape_activity", "start_target", "preshape", "rate"}
+ASKED = {"anchor", "freeze", "lock", "shape_activity", "start_target", "preshape", "rate"}
 """Written by nobody: the law of the grasp computes with them."""
 
 

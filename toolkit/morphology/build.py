@@ -136,7 +136,8 @@ class MergedRobot:
         lock_spring, lock_damping, lock_armature, folds = self._hold
         locked = np.expm1(folds * freeze) / np.expm1(folds)
         own_spring, own_quadratic = (theta[name][:, 0] * theta["stiffness"][:, 0] for name in ("spring_share", "spring_share_quadratic"))
-        spring = own_spring + locked * lock_spring  # the lock's spring rests at zero
+        lock = locked * lock_spring
+        spring = own_spring + lock  # the lock's spring rests at zero
         presence = theta["shape_presence"][:, 0]
         size = np.maximum(theta["shape_size"] * presence[:, None], MIN_SIZE) * self._shape_dims
         # A constraint that fades evenly is as good as rigid nearly to its end, and would fight the motors all the way.
@@ -157,6 +158,7 @@ class MergedRobot:
             air_inertia=np.maximum(AIR_MASS / 12.0 * theta["air_edges"][self._airy] ** 2 @ OTHER_TWO, MIN_INERTIA),
             limits=theta["limits"],
             margin=theta["limit_margin"][:, 0],
+            lock=lock,
             spring=spring,
             spring_quadratic=own_quadratic,
             spring_rest=own_spring * theta["spring_rest"][:, 0] / np.maximum(spring, 1e-12),

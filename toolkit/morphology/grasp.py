@@ -22,7 +22,7 @@ from toolkit.morphology.arithmetic import rotations
 from toolkit.morphology.contact import FROZEN, STAY, YIELDING, gap_of, held, levers, meet, place, tilt_of
 from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
 from toolkit.morphology.patch import Patch
-from toolkit.morphology.space import FROZEN_SLIDE_STIFFNESS, FROZEN_WIDE_DECADES, EvolutionSpace
+from toolkit.morphology.space import EvolutionSpace
 
 MAIN_ROLES = (*SLIDES, *(digit.flexion for digit in DIGITS))
 """Joints whose motors close a finger and may stall; the finger's other joints hold its shape."""
@@ -54,8 +54,6 @@ FEEBLE = 1e-9
 """Torque limit [N m] of an actuator that a robot lacks: MuJoCo refuses none."""
 WEAKEST = 1e-9
 """Stiffness [N m/rad] of an actuator below which it does nothing."""
-SLIDE_FOLDS = np.log(10.0) * FROZEN_WIDE_DECADES
-"""A slide's lock stiffens by so many e-folds as it freezes."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,7 @@ class GraspLaw:
         """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, as high and as flat as asked; where they
         are nearest (n_fingers, 3), on their last links; and how much of each finger is there to touch (n_fingers,), 0 to 1."""
         out, points, solids, touches = angles.copy(), p.anchor[self._tips], self._solids(p), np.zeros(len(self.fingers))
-        anchors, axes, stay = p.anchor[self.driven], p.axis[self.driven], self._staying(p.freeze[self.driven])
+        anchors, axes, stay = p.anchor[self.driven], p.axis[self.driven], self._staying(p)
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
@@ -236,12 +234,11 @@ class GraspLaw:
             )
         return out, points, touches
 
-    def _staying(self, freeze: np.ndarray) -> np.ndarray:
-        """Weights (n_driven,) of the joints' departures from a guess: those that freeze move less, and a slide no farther than its lock,
-        which is the joint's own spring, lets its motor."""
-        out = STAY + FROZEN * freeze
-        lock = FROZEN_SLIDE_STIFFNESS * np.expm1(SLIDE_FOLDS * freeze[self._slides]) / np.expm1(SLIDE_FOLDS)
-        out[self._slides] = STAY + lock / YIELDING
+    def _staying(self, p: Patch) -> np.ndarray:
+        """Weights (n_driven,) of the joints' departures from a guess: those that freeze move less, and a slide no farther than its lock
+        lets its motor."""
+        out = STAY + FROZEN * p.freeze[self.driven]
+        out[self._slides] = STAY + p.lock[self.driven[self._slides]] / YIELDING
         return out
 
     # ---- the robots' own grasps --------------------------------------------------------------------------------

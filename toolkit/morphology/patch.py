@@ -23,6 +23,7 @@ class Patch:
     air_inertia: np.ndarray
     limits: np.ndarray
     margin: np.ndarray
+    lock: np.ndarray
     spring: np.ndarray
     spring_quadratic: np.ndarray
     spring_rest: np.ndarray
