@@ -211,8 +211,13 @@ def test_something_has_to_be_explored(observation, action):
 
 
 @pytest.mark.parametrize("field, value", [("batch_size", 7), ("batch_size", 2), ("prior", -1.0), ("reuse", 15), ("deviation_rate", 1.5),
-                                          ("narrowest", 0.0), ("polish", 0.0), ("regain", 0.9), ("features", 0),
+                                          ("narrowest", 0.0), ("polish", 0.0), ("regain", 0.9), ("features", 0), ("responses", 0),
                                           ("widest", 0.5)])
 def test_settings_are_checked(field, value):
     with pytest.raises(ToolkitError, match=rf"SearchConfig\.{field} is {value}"):
         SearchConfig(**{field: value})
+
+
+@pytest.mark.parametrize("actions, features", [(1, 4), (3, 4), (8, 4), (11, 2), (28, 1), (40, 1)])
+def test_many_actions_respond_to_few_features(actions, features):
+    assert SearchConfig().features_of(actions) == features

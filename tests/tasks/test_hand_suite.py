@@ -272,6 +272,8 @@ def test_records_name_what_is_there(task):
     assert scene.observe().shape == task.observation.numbers("scale").shape == task.observation.numbers("explored").shape == (size,)
     assert task.action.numbers("explored").shape == (sum(task.action.values()),) == (model.nu,)
     assert (task.observation.numbers("explored") > 0).all() and (task.observation.numbers("scale") > 0).all()
+    mount = np.array([name.startswith("servo/AR") for name in task.action])
+    assert mount.any() and (task.action.numbers("explored") == np.where(mount, 0.02, 0.1)).all()
     assert list(task.action) == [f"servo/{model.joint(int(joint)).name}" for joint in model.actuator_trnid[:, 0]]
     where = 0
     for entry, count in task.observation.items():

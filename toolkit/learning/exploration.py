@@ -41,7 +41,9 @@ class SearchConfig:
     prior: float = 1.0
     """Successes that count for the policy as it is: a single one moves it half of the way."""
     features: int = 4
-    """Leading features that the actions respond to in the search's second turn."""
+    """Leading features that the actions respond to in the search's second turn, if that makes no more than ``responses``."""
+    responses: int = 32
+    """Most responses, of all actions to all features: a hand of 28 servos responds to the leading feature alone, which hardly varies."""
     reuse: int = 144
     """Trials on one robot, the last ones, that an update learns from, earlier batches by their importance."""
     deviation_rate: float = 0.5
@@ -62,6 +64,7 @@ class SearchConfig:
         for name, valid, mend in (
             ("prior", self.prior >= 0, "0 or more"),
             ("features", self.features >= 1, "1 or more"),
+            ("responses", self.responses >= 1, "1 or more"),
             ("reuse", self.reuse >= self.batch_size, f"at least a batch, {self.batch_size}"),
             ("deviation_rate", 0 <= self.deviation_rate <= 1, "a number in [0, 1]"),
             ("narrowest", 0 < self.narrowest <= 1, "a number in (0, 1]"),
@@ -71,6 +74,10 @@ class SearchConfig:
         ):
             if not valid:
                 raise ToolkitError(f"SearchConfig.{name} is {getattr(self, name)}; give {mend}")
+
+    def features_of(self, actions: int) -> int:
+        """How many features so many actions respond to; one at least."""
+        return max(1, min(self.features, self.responses // actions))
 
 
 def mirrored(pairs: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:

@@ -144,7 +144,8 @@ class SearchLearner:
         before = branch.ledger.play_s
         if branch.turn == "response" and branch.features is None:
             met = np.concatenate([episode.observations for episode in sampler.watch(branch, player, alpha)])
-            branch.features = leading_features(branch.policy, met, settings.features)
+            count = settings.features_of(int(np.count_nonzero(self.explored.action)))
+            branch.features = leading_features(branch.policy, met, count)
         directions = self.directions(branch)
         declared = directions.deviation
         if branch.deviation is None or branch.centre is None:
