@@ -144,6 +144,22 @@ def test_the_weights_have_a_turn_before_a_nearer_robot_where_they_can_learn(tmp_
     assert transfer.training.keep_best(branch, 0.1) == "stalled", "after both turns a nearer robot is tried"
 
 
+@pytest.mark.parametrize("succeeding, turn", [(0.0, "offset"), (0.5, "weights")])
+def test_weights_that_learn_nothing_under_the_least_noise_leave_the_turn_to_the_search(tmp_path, succeeding, turn):
+    """At a target where the mean action succeeds often and hardly an episode under noise, NPG would play for nothing, over and over."""
+    transfer = transfer_of(tmp_path / "run", config(learner="search", patience=2), Toy())
+    (branch,) = transfer.pending
+    training, (target, *_) = transfer.training, TARGETS
+    branch.begin_phase()
+    training.keep_best(branch, 0.6)
+    branch.begin_turn("weights")
+    branch.noise = transfer.config.least_noise
+    training.weights.improve = lambda *_: succeeding
+    assert training.learn(branch, transfer.players.engine, target.alpha, 0.6) == "training" and branch.numb == (succeeding == 0.0)
+    branch.begin_turn("offset")  # as after all turns
+    assert training.leave(branch, 0.6) == "training" and branch.turn == turn
+
+
 def test_a_spent_budget_leaves_the_best_policy(tmp_path):
     """What arrives is what was measured best on its target, not what came last."""
     measured = []

@@ -98,6 +98,7 @@ class Branch:
         turn: what is learned in this phase: "offset", "gain" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen, of the policy or of what was drawn around it.
+        numb: whether hardly an episode succeeded under the least noise when the weights last had their turn.
         width: share of the declared deviation with which the search begins its next turn.
         features: (K, H + 1) that the search's responses are to; None: it has offsets alone.
         deviation: (d,) of the search's steps, each in its unit; None before a turn's first.
@@ -129,6 +130,7 @@ class Branch:
     turn: Turn = "offset"
     turns: int = 0
     idle: int = 0
+    numb: bool = False
     width: float = 1.0
     features: np.ndarray | None = None
     deviation: np.ndarray | None = None
@@ -155,7 +157,7 @@ class Branch:
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
         """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
         self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
-        self.turns, self.best_success, self.best = 0, 0.0, None
+        self.turns, self.numb, self.best_success, self.best = 0, False, 0.0, None
         self.begin_turn(TURNS[0])
 
     def begin_turn(self, turn: Turn) -> None:
@@ -198,7 +200,7 @@ class Branch:
 _ARRAYS = ("next_alpha", "features", "deviation", "centre")
 _PLAIN = (
     "path", "targets", "window", "noise", "updates", "stage", "looked", "began", "allowance", "strayed",
-    "turn", "turns", "idle", "width", "best_drawn", "best_success",
+    "turn", "turns", "idle", "numb", "width", "best_drawn", "best_success",
 )
 
 

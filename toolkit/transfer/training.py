@@ -83,8 +83,10 @@ class Training:
         # The search's last turn may have begun just now.
         if self.search is None or branch.turn == "weights":
             learned_from = self.weights.improve(branch, player, alpha)
-            if self.search is not None and learned_from < self.config.signal and not self.weights.calm(branch, NUMBED):
-                branch.idle = self.config.patience  # nothing to learn from, however little noise: the next measurement ends the turn
+            if self.search is not None:
+                branch.numb = learned_from < self.config.signal and not self.weights.calm(branch, NUMBED)
+                if branch.numb:
+                    branch.idle = self.config.patience  # nothing to learn from, however little noise: the next measurement ends the turn
             return "training"
         first = branch.updates == 0
         learned = self.search.improve(branch, player, alpha, success, branch.best_success >= self.config.threshold)
@@ -132,13 +134,13 @@ class Training:
         """After all turns on a target, where its best policy was measured anew to have that ``success``.
 
         If that is enough, the target is left with it. If not, the weights go on for as long as the budget lasts, where there is enough to
-        learn from; else the turns begin again.
+        learn from, also under noise; else the turns begin again.
         """
         branch.best_success = success
         if success >= self.config.enough:
             self.sampler.say(Kept(success=success), branch)
             return "kept"
-        if success >= self.config.noisy_threshold:
+        if success >= self.config.noisy_threshold and not branch.numb:
             branch.begin_turn("weights")
         return "training"
 
