@@ -9,23 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolkit.capability.audit import (
-    LEADS,
-    SIDES,
-    Audit,
-    Edge,
-    Violation,
-    Way,
-    allowed,
-    pairs_on,
-    reserve,
-    run_audit,
-    verdict,
-    violations,
-    ways_of,
-)
+from toolkit.capability.audit import Audit, Edge, Violation, allowed, reserve, run_audit, verdict, violations
 from toolkit.capability.bench import Capability
 from toolkit.capability.figure import save_audit
+from toolkit.capability.ways import LEADS, REST, SIDES, Way, gone_at, leading, pairs_on, turn_in, turning, ways_of
 from toolkit.errors import ToolkitError
 
 
@@ -109,7 +96,7 @@ def test_nothing_is_wrong_between_two_linkages(arms, tmp_path):
     assert not [v for v in edge.violations if v.quantity in ("grip_n", "script")], [v.sentence() for v in edge.violations]
     assert max(grips) <= 1.25 * max(r.grip_n for r in edge.ends), grips
     content = [edge.to_json()]
-    assert set(content[0]) == {"from", "to", "first", "lead", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
+    assert set(content[0]) == {"from", "to", "turn", "reserve", "robots", "violations"} and len(content[0]["robots"]) >= 5
     json.dumps(content, allow_nan=False)
     save_audit(content, tmp_path / "audit.png")
     assert (tmp_path / "audit.png").stat().st_size > 10_000
@@ -126,16 +113,17 @@ def test_where_both_sides_at_once_cannot_hold_one_goes_first(arms, tmp_path):
         run_audit(arms.merged, [way], bend=bend, robots=3, episodes=3, scripted=1, causes=False, brief=True, threads=2)
         for bend in (False, True)
     )
-    assert "script" in {v.quantity for v in straight.violations} and straight.way.ahead is None
-    assert bent.way.ahead in SIDES and bent.robots[0.5].script == 1.0 and bent.broken < straight.broken
-    assert "bent" in verdict([bent]) and bent.to_json()["first"] == bent.way.ahead
+    assert "script" in {v.quantity for v in straight.violations} and straight.way.turn is None
+    assert bent.way.turn in [leading(side, lead) for side in SIDES for lead in LEADS]
+    assert bent.robots[0.5].script == 1.0 and bent.broken < straight.broken
+    assert "bent" in verdict([bent]) and turn_in(json.loads(json.dumps(bent.to_json()))) == bent.way.turn
 
 
 def test_a_bent_way_is_as_long_in_l1_and_goes_through_its_corner(arms):
     first, last = arms.space.beta("kinova3"), arms.space.beta("jaco")
     way = Way("kinova3", "jaco", first, last)
     for side, lead in itertools.product(SIDES, LEADS):
-        bent = way.bent(arms.space, side, lead)
+        bent = way.bent(arms.space, leading(side, lead))
         places = np.array([bent.at(share) for share in np.linspace(0.0, 1.0, 101)])
         assert np.abs(np.diff(places, axis=0)).sum() == pytest.approx(np.abs(last - first).sum())
         np.testing.assert_allclose(places[[0, -1]], [first, last], atol=1e-12)
@@ -144,8 +132,79 @@ def test_a_bent_way_is_as_long_in_l1_and_goes_through_its_corner(arms):
         settled = np.abs(places[:, mine] - last[mine]).max(axis=1) < 1e-9
         gone = np.abs(places[:, others] - first[others]).sum(axis=1) / np.abs(last - first)[others].sum()
         assert np.all(settled | (gone < 1.0 - lead + 1e-9)) and np.all(~settled | (gone > 1.0 - lead - 1e-9))
-    assert Way("here", "here", first, first).bent(arms.space, "thumb") is None
+    assert Way("here", "here", first, first).bent(arms.space, leading("thumb", 1.0)) is None
     assert not set(arms.space.side("thumb")) & set(arms.space.side("fingers"))
+
+
+def test_groups_part_the_parameters_by_side_and_quantity(arms):
+    groups = arms.space.groups()
+    assert sorted(np.concatenate(list(groups.values()))) == list(range(arms.space.size))
+    for side in SIDES:
+        mine = np.concatenate([dimensions for name, dimensions in groups.items() if name.startswith(f"{side} ")])
+        assert sorted(mine) == sorted(arms.space.side(side))
+
+
+def test_a_turn_says_how_far_each_parameter_has_gone(arms):
+    gone = gone_at({"fingers axis": 0.2, "thumb axis": 1.0}, arms.space)
+    groups = arms.space.groups()
+    assert [set(gone[groups[name]]) for name in ("fingers axis", "thumb axis", "thumb com")] == [{0.2}, {1.0}, {0.5}]
+    assert turning(leading("thumb", 0.25)) == "thumb first, by 25%" and turning({"a": 0.1, "b": 0.2}) == "turned, by 2 groups of parameters"
+    assert turn_in({"first": "thumb", "lead": 0.25}) == {"thumb": 1.0, REST: 0.75}, "as runs of before have it"
+    assert turn_in({"turn": None}) is None
+    with pytest.raises(ToolkitError, match="turns by fingers wit, and these robots"):
+        gone_at({"fingers wit": 1.0}, arms.space)
+
+
+@pytest.fixture
+def uneven(arms, monkeypatch):
+    """Robots whose grip is weak where the fingers' axes have gone farther than those of the thumb, and high where the thumb's
+    masses do not lag behind its axes: no side that goes first keeps both. And the way on which they lie, and those that were measured."""
+    groups, way = arms.space.groups(), Way("adroit", "jaco", arms.space.beta("adroit"), arms.space.beta("jaco"))
+    measured = []
+
+    def one(self, alpha, episodes=0):
+        gone = {name: np.abs(alpha - way.first)[groups[name]].sum() / np.abs(way.last - way.first)[groups[name]].sum()
+                for name in ("fingers axis", "thumb axis", "thumb com")}
+        measured.append(alpha)
+        return robot(grip_n=20.0 - 20.0 * max(gone["fingers axis"] - gone["thumb axis"] + 0.1, 0.0) * (0.0 < gone["thumb axis"] < 1.0),
+                     height_mm=60.0 * max(gone["thumb com"] - gone["thumb axis"] + 0.1, 0.0) * (0.0 < gone["thumb axis"] < 1.0))
+
+    monkeypatch.setattr(Audit, "_one", one)
+    return arms, way, measured
+
+
+def best_of(merged, way, tries):
+    audit = Audit(merged, robots=9, episodes=0, causes=False, tries=tries, threads=2)
+    try:
+        return audit.best(way)
+    finally:
+        audit.close()
+
+
+def test_where_no_side_going_first_keeps_the_promise_a_turn_is_searched(uneven):
+    arms, way, measured = uneven
+    before, after = best_of(arms.merged, way, 0), best_of(arms.merged, way, 160)
+    assert before.violations, "no lead does"
+    assert after.rank < before.rank and not after.violations, [v.sentence() for v in after.violations]
+    assert set(after.way.turn) == set(arms.space.groups())
+    places = np.array([after.way.at(share) for share in np.linspace(0.0, 1.0, 101)])
+    assert np.abs(np.diff(places, axis=0)).sum() == pytest.approx(np.abs(way.last - way.first).sum()), "no detour"
+    assert best_of(arms.merged, way, 160).way.turn == after.way.turn, "the same on every machine"
+    assert "turned, by" in verdict([after])
+
+
+def test_most_turns_are_given_up_after_one_robot(uneven):
+    """Along the whole way only those are measured that are better on the robot that was worst."""
+    arms, way, measured = uneven
+    best_of(arms.merged, way, 0)
+    leads = len(measured)
+    best_of(arms.merged, way, 80)
+    assert len(measured) - 2 * leads < 80 * 9 / 2
+
+
+def test_an_audit_of_less_than_no_turn_is_refused(arms):
+    with pytest.raises(ToolkitError, match="0 turns or more; got -1"):
+        Audit(arms.merged, tries=-1)
 
 
 @pytest.mark.slow

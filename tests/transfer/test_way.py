@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("unhurried")
 def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
     """On the way to the left its second parameter goes first, in steps that never cut the corner; to the meta robot all go at once."""
     toy = Toy()
-    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]))}
+    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([0.0, 1.0, 0.0]))}
     transfer = transfer_of(tmp_path / "run", config(step="fixed", xi=0.1), toy, bends=bends)
     transfer.meta_evolve()
     assert set(transfer.arrived) == {"left", "right"}
@@ -31,7 +31,7 @@ def test_a_bent_way_turns_its_corner_and_its_siblings_go_straight(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("lead", [1.0, 0.5])
 def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path, lead):
-    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]), lead)}
+    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1.0 - lead, 1.0, 1.0 - lead]))}
     whole = transfer_of(tmp_path / "whole", config(step="fixed", xi=0.1), Toy(), bends=bends)
     whole.meta_evolve()
     broken = transfer_of(tmp_path / "broken", config(step="fixed", xi=0.1), Toy(kill_after=9), bends=bends)
@@ -46,7 +46,7 @@ def test_a_bent_way_killed_and_resumed_is_the_same_run(tmp_path, lead):
 def test_a_part_of_a_lead_turns_once_and_where_the_edge_does(tmp_path):
     """The second parameter arrives when the others have gone half of their way, however many phases it takes."""
     toy = Toy()
-    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([1]), 0.5)}
+    bends = {frozenset(["left", "right"]): Bend(SOURCE.alpha, np.array([0.5, 1.0, 0.5]))}
     transfer = transfer_of(tmp_path / "run", config(step="fixed", xi=0.1), toy, bends=bends)
     transfer.meta_evolve()
     places = [call["next"] for call in toy.calls if call["path"] == "path 1" and call["next"] is not None]

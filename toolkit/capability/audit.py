@@ -15,18 +15,16 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, product
+from itertools import pairwise, product, repeat
 from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 
 from toolkit.capability.bench import NOTHING, Bench, Capability
+from toolkit.capability.ways import LEADS, SIDES, Way, gone_at, leading
 from toolkit.errors import ToolkitError
-from toolkit.evolution.bend import corner
-from toolkit.evolution.tree import EvolutionTree
 from toolkit.morphology.build import MergedRobot
-from toolkit.morphology.space import EvolutionSpace
 
 WEAKER, STRONGER = 0.8, 1.25
 """Shares of the weaker and of the stronger end between which the grip lies."""
@@ -43,56 +41,19 @@ REFINED = 4
 """Robots that are looked at beside the evenly spaced ones, each between the worst so far and its neighbours."""
 SHARES, LEAST_SHARE = ("balance", "script"), 0.1
 """Quantities without a unit, and the least limit [1] against which these are weighed; the others' is one of their unit."""
+SOUGHT = 160
+"""Turns that are tried for an edge that no side's lead mends, if not told otherwise."""
+ROUND = 4
+"""Of these, at a time: only the best of them where the promise is broken worst is measured along the whole way."""
+MOVED, FEWEST = 0.15, 3
+"""Share of the groups of parameters that differ between one turn and the next, and how many do at least, on average."""
+SPREAD = 0.35
+"""Standard deviation by which they do, in shares of the way."""
 QUANTITIES = {
     "grip_n": "grip force", "balance": "balance", "height_mm": "height of the grip", "opening_mm": "opening",
     "closing_steps": "closing time", "script": "the script",
 }
 """Quantity of a capability -> what it is called."""
-
-
-SIDES = ("fingers", "thumb")
-"""What may go first on a way that turns a corner."""
-LEADS = (1.0, 0.5, 0.25)
-"""By which shares of their way the others may then lag behind, the most telling first."""
-
-
-def turning(side: str, lead: float) -> str:
-    """In words, that one of SIDES goes first, and by how much the other then lags behind if it is not the whole way."""
-    return f"{side} first{'' if lead == 1.0 else f', by {lead:.0%}'}"
-
-
-@dataclass(frozen=True)
-class Way:
-    """A stretch of evolution: names of its ends, their alphas (D,), and where it turns (D,), if it does: which side goes first, and by
-    which share of its way the other then lags behind."""
-
-    start: str
-    end: str
-    first: np.ndarray
-    last: np.ndarray
-    turn: np.ndarray | None = None
-    ahead: str | None = None
-    lead: float | None = None
-
-    def at(self, share: float) -> np.ndarray:
-        """The robot (D,) at a share of the way's length, L1."""
-        if self.turn is None:
-            return np.clip(self.first + share * (self.last - self.first), 0.0, 1.0)
-        legs = [np.abs(self.turn - self.first).sum(), np.abs(self.last - self.turn).sum()]
-        gone = share * sum(legs)
-        if gone <= legs[0]:
-            return np.clip(self.first + gone / legs[0] * (self.turn - self.first), 0.0, 1.0)
-        return np.clip(self.turn + (gone - legs[0]) / legs[1] * (self.last - self.turn), 0.0, 1.0)
-
-    def bent(self, space: EvolutionSpace, side: str, lead: float = 1.0) -> "Way | None":
-        """The same way with one side of the grasp (one of SIDES) first, by a ``lead``; None: only one side moves on it."""
-        turn = corner(self.first, self.last, space.side(side), lead)
-        return None if turn is None else replace(self, turn=turn, ahead=side, lead=lead)
-
-    @property
-    def told(self) -> str:
-        """Its end, and how it turns if it does."""
-        return self.end if self.ahead is None or self.lead is None else f"{self.end} ({turning(self.ahead, self.lead)})"
 
 
 @dataclass(frozen=True)
@@ -147,7 +108,7 @@ class Edge:
     def to_json(self) -> dict[str, Any]:
         """As plain numbers."""
         return {
-            "from": self.way.start, "to": self.way.end, "first": self.way.ahead, "lead": self.way.lead, "reserve": self.reserve,
+            "from": self.way.start, "to": self.way.end, "turn": self.way.turn and dict(self.way.turn), "reserve": self.reserve,
             "robots": [{"share": round(share, 4), **robot.to_json()} for share, robot in sorted(self.robots.items())],
             "violations": [violation.to_json() for violation in self.violations],
         }
@@ -161,6 +122,11 @@ class Edge:
         return sum(worst.values()) + len(QUANTITIES) * ("script" in worst)
 
     @property
+    def rank(self) -> tuple[float, float]:
+        """What is compared where a way may turn in several ways: how much is broken, then for how long; less is better."""
+        return self.broken, self.stretch
+
+    @property
     def stretch(self) -> float:
         """Share of the way on which it is broken."""
         bad = {violation.share for violation in self.violations}
@@ -170,29 +136,6 @@ class Edge:
     def ends(self) -> tuple[Capability, Capability]:
         """What the two ends can do."""
         return self.robots[0.0], self.robots[1.0]
-
-
-def ways_of(tree: EvolutionTree) -> list[Way]:
-    """The edges of an evolution tree, those of length zero left out."""
-    nodes = tree.nodes
-    return [Way(nodes[e.start].name, nodes[e.end].name, nodes[e.start].alpha, nodes[e.end].alpha) for e in tree.edges if e.length > 1e-9]
-
-
-def ways_in(tree: dict[str, Any]) -> list[Way]:
-    """The edges of a run's tree, as its tree.json has it."""
-    nodes = {node["name"]: np.array(node["alpha"], float) for node in tree["nodes"]}
-    edges = [edge for edge in tree["edges"] if edge["length"] > 1e-9]
-    return [Way(edge["from"], edge["to"], nodes[edge["from"]], nodes[edge["to"]]) for edge in edges]
-
-
-def pairs_on(ways: Sequence[Way], count: int, generator: np.random.Generator) -> list[Way]:
-    """Straight ways between two robots each, drawn evenly by length (L1) from all robots of ``ways``."""
-    lengths = np.array([np.abs(way.last - way.first).sum() for way in ways])
-    ends = generator.choice(len(ways), (count, 2), p=lengths / lengths.sum())
-    shares = generator.random((count, 2))
-    drawn = [[(f"{ways[k].start} to {ways[k].end} {share:.1%}", ways[k].at(share)) for k, share in zip(*pair, strict=True)]
-             for pair in zip(ends, shares, strict=True)]
-    return [Way(first[0], last[0], first[1], last[1]) for first, last in drawn]
 
 
 def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, float] | None:
@@ -254,31 +197,74 @@ class Audit:
         scripted: every how many of them the script is tried on.
         causes: whether to ask what causes the worst violation of every quantity.
         brief: only what a closed gripper tells; a second per way.
+        tries: turns that ``best`` searches where no side's lead keeps the promise; 0: none.
         threads: workers; default: the machine's cores.
     """
 
     def __init__(
         self, merged: MergedRobot, robots: int = 17, episodes: int = 4, scripted: int = 4, causes: bool = True,
-        brief: bool = False, threads: int | None = None,
+        brief: bool = False, tries: int = SOUGHT, threads: int | None = None,
     ) -> None:
         if robots < 2 or episodes < 0 or scripted < 1:
             raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
+        if tries < 0:
+            raise ToolkitError(f"an audit searches 0 turns or more; got {tries}")
         self.merged, self.count, self.episodes, self.scripted, self.causes = merged, robots, episodes, scripted, causes
-        self._brief = brief
+        self._brief, self._tries = brief, tries
         self._pool = ThreadPoolExecutor(threads or len(os.sched_getaffinity(0)))
         self._idle: SimpleQueue[Bench] = SimpleQueue()
         for _ in range(self._pool._max_workers):
             self._idle.put(Bench(merged))
 
     def best(self, way: Way) -> Edge:
-        """A way audited as it is, or turned so that one side of the grasp goes first, whichever keeps the promise best; of equals the
-        one that breaks it for the shortest stretch."""
+        """A way audited as it is, or turned, whichever keeps the promise best; of equals the one that breaks it for the shortest stretch.
+
+        It turns so that one side of the grasp goes first, or, where no such turn keeps the promise, as a search finds it.
+        """
         found = [self.along(way)]
         for lead, side in product(LEADS, SIDES):
-            other = way.bent(self.merged.space, side, lead) if found[-1].violations else None
+            other = way.bent(self.merged.space, leading(side, lead)) if found[-1].violations else None
             if other is not None:
                 found.append(self.along(other))
-        return min(found, key=lambda edge: (edge.broken, edge.stretch))
+        best = min(found, key=lambda edge: edge.rank)
+        sought = self._sought(way, best) if best.violations and self._tries else None
+        # What was found without the script and by fewer causes is measured as the others were before it counts.
+        return best if sought is None else min(best, self.along(sought), key=lambda edge: edge.rank)
+
+    def _sought(self, way: Way, best: Edge) -> Way | None:
+        """A search of the turn that keeps the promise better than ``best`` does; None: it found none.
+
+        Where each group of parameters stands at the corner is what is searched, by an evolution strategy that keeps the better of two
+        (Rechenberg 1973). A turn that is no better on the robot that is worst now is given up after that one.
+        """
+        space, generator, script = self.merged.space, np.random.default_rng(0), any(v.quantity == "script" for v in best.violations)
+        groups = space.groups()
+        shares = np.full(len(groups), 0.5)
+        if best.way.turn is not None:
+            gone = gone_at(best.way.turn, space)
+            shares = np.array([gone[dimensions[0]] for dimensions in groups.values()])
+        now, found = best, None
+        for _ in range(0, self._tries, ROUND):
+            ways = []
+            for _ in range(ROUND):
+                moved = generator.random(len(groups)) < max(MOVED, FEWEST / len(groups))
+                steps = SPREAD * generator.standard_normal(len(groups))
+                tried = np.clip(shares + np.where(moved, steps, 0.0), 0.0, 1.0)
+                turned = way.bent(space, {name: round(float(share), 2) for name, share in zip(groups, tried, strict=True)})
+                if turned is not None:
+                    ways.append(turned)
+            worst = now.violations[0].share
+            probes = self._pool.map(self._one, [turned.at(worst) for turned in ways], repeat(self.episodes * script))
+            ranks = [Edge(way, {}, violations({0.0: now.ends[0], worst: probe, 1.0: now.ends[1]})).broken for probe in probes]
+            here = Edge(way, {}, [v for v in now.violations if v.share == worst]).broken
+            if not ranks or min(ranks) >= here:
+                continue
+            edge = self._audited(ways[int(np.argmin(ranks))], script, causes=False)
+            if edge.rank < now.rank and edge.way.turn is not None:
+                now, found, shares = edge, edge.way, np.array([edge.way.turn[name] for name in groups])
+            if not now.violations:
+                break
+        return found
 
     def close(self) -> None:
         """Stop the workers."""
@@ -286,15 +272,18 @@ class Audit:
 
     def along(self, way: Way) -> Edge:
         """What the robots of a way can do, evenly spaced and where it looks worst, and what causes it."""
+        return self._audited(way, script=True, causes=self.causes)
+
+    def _audited(self, way: Way, script: bool, causes: bool) -> Edge:
         shares = np.linspace(0.0, 1.0, self.count).tolist()
-        tried = {float(s) for s in shares[:: self.scripted]} | {1.0}
+        tried = {float(s) for s in shares[:: self.scripted]} | {1.0} if script else set()
         robots = self._measured(way, shares, tried)
         why = reserve(way, robots[0.0], robots[1.0], self.merged.task.object.width)
         if why is not None:
             return Edge(way, robots, [], why)
         robots |= self._refined(way, robots)
         found = violations(robots)
-        if self.causes:
+        if causes:
             worst = {v.quantity: v for v in reversed(found)}
             found = [replace(v, cause=self._cause_on(way, v, found, robots)) if worst[v.quantity] is v else v for v in found]
         return Edge(way, dict(sorted(robots.items())), found)
@@ -409,7 +398,7 @@ def run_audit(
 ) -> list[Edge]:
     """Audit every way; see ``Audit`` for the options. ``progress`` is told the edge, how many are done, of how many.
 
-    ``bend``: where a straight way breaks the promise, take it with one side of the grasp first if that keeps it better.
+    ``bend``: where a straight way breaks the promise, take it turned if that keeps it better.
     """
     audit, out = Audit(merged, **options), []
     try:
@@ -425,7 +414,7 @@ def verdict(edges: Sequence[Edge]) -> str:
     """One line on what an audit found."""
     broken = [(edge, edge.violations[0]) for edge in edges if edge.violations]
     kept = [edge for edge in edges if edge.reserve is None]
-    turned = [f"{edge.way.start} to {edge.way.told}" for edge in edges if edge.way.ahead is not None]
+    turned = [f"{edge.way.start} to {edge.way.told}" for edge in edges if edge.way.turn is not None]
     bends = f" (bent: {'; '.join(turned)})" if turned else ""
     if not broken:
         parts = [min(robot.grip_n for robot in e.robots.values()) / max(min(r.grip_n for r in e.ends), 1e-9) for e in kept]

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from toolkit.capability.audit import turning
+from toolkit.capability.ways import turn_in, turning
 from toolkit.errors import ToolkitError
 
 ROWS = {
@@ -30,7 +30,8 @@ def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), max(len(edges), 1), squeeze=False, sharex=True, sharey="row")
     for column, edge in enumerate(edges):
-        turned = f"\n{turning(edge['first'], edge.get('lead', 1.0))}" if edge.get("first") else ""
+        turn = turn_in(edge)
+        turned = "" if turn is None else f"\n{turning(turn)}"
         panels[0][column].set_title(f"{edge['from']}\nto {edge['to']}{turned}", fontsize=8)
         for row, (quantity, label) in enumerate(rows.items()):
             axes = panels[row][column]

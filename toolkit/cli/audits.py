@@ -20,6 +20,7 @@ def audit(
     robots: int = 17,
     episodes: int = 4,
     bend: bool = True,
+    tries: int = 160,
     causes: bool = True,
     plot: Path | None = None,
     json: bool = False,
@@ -43,18 +44,22 @@ def audit(
         episodes: of the script, per grasp, on every fourth robot; 0: no script.
         bend: where a straight edge leads through worse robots, take it with one side of the grasp first, as a transfer does; it is no
             longer in L1. --no-bend audits straight edges only.
+        tries: turns that are searched for an edge that this does not mend, a second each; 0: none.
         causes: ask what is to blame for the worst of each kind.
         plot: draw the audit into this file (PNG, PDF or SVG).
         json: print one JSON object.
     """
     if robots < 2 or episodes < 0:
         raise ToolkitError(f"an audit needs 2 robots per edge or more, and 0 episodes or more; got {robots} and {episodes}")
+    if tries < 0:
+        raise ToolkitError(f"an audit searches 0 turns or more; got {tries}")
     if pairs is not None and pairs < 1:
         raise ToolkitError(f"an audit of pairs needs 1 pair or more; got {pairs}")
     find_pick(task if run is None else transfer_config(run)["task"])
     import numpy as np
 
-    from toolkit.capability.audit import QUANTITIES, pairs_on, run_audit, verdict, ways_in, ways_of
+    from toolkit.capability.audit import QUANTITIES, run_audit, verdict
+    from toolkit.capability.ways import pairs_on, ways_in, ways_of
 
     with Progress("audit", quiet=json) as progress:
         if run is None:
@@ -67,7 +72,7 @@ def audit(
             ways = pairs_on(ways, pairs, np.random.default_rng(seed))
         progress.show("audit", f"{len(ways)} {'edges' if pairs is None else 'pairs'}, {robots} robots each", 0, len(ways), now=True)
         seen = lambda name, done, total: progress.show("audit", name, done, total, now=True)  # noqa: E731
-        edges = run_audit(merged, ways, seen, bend, robots=robots, episodes=episodes, causes=causes)
+        edges = run_audit(merged, ways, seen, bend, robots=robots, episodes=episodes, causes=causes, tries=tries)
     content = {"edges": [edge.to_json() for edge in edges]}
     if plot is not None:
         from toolkit.capability.figure import save_audit

@@ -1,4 +1,4 @@
-"""Ways that turn a corner: some parameters reach their goal before the others begin, or when these have gone a part of their way.
+"""Ways that turn a corner: some parameters are ahead of the others there, all have arrived at the end.
 
 In the L1 distance every way is as long as the straight one on which each parameter only ever goes towards its goal, so that of all
 these ways the one may be taken whose robots can do most.
@@ -12,24 +12,20 @@ ARRIVED = 1e-9
 """Difference [alpha] under which a parameter is at its goal."""
 
 
-def corner(alpha: np.ndarray, goal: np.ndarray, first: np.ndarray, lead: float = 1.0) -> np.ndarray | None:
-    """Where the way from a robot to ``goal`` turns; None: it does not, or has turned.
+def corner(alpha: np.ndarray, goal: np.ndarray, gone: np.ndarray) -> np.ndarray | None:
+    """Where the way from a robot to ``goal`` turns; None: all that moves is as far there, so that it goes straight.
 
     Args:
         alpha, goal: (D,) evolution parameters.
-        first: indices of the parameters that go first.
-        lead: share of their way by which the others then lag behind, in (0, 1].
+        gone: (D,) share of its way that each parameter has gone there, in [0, 1].
 
     Returns:
-        (D,) ``alpha`` with the first parameters at their goal.
+        (D,) the corner.
     """
-    before, others = np.abs(goal - alpha) > ARRIVED, np.ones(alpha.size, bool)
-    others[first] = False
-    if not np.any(before[first]) or not np.any(before & others):
+    moving = np.abs(goal - alpha) > ARRIVED
+    if not moving.any() or np.ptp(gone[moving]) == 0.0:
         return None
-    out = alpha + (1.0 - lead) * (goal - alpha)
-    out[first] = goal[first]
-    return out
+    return np.where(gone == 1.0, goal, alpha + gone * (goal - alpha))
 
 
 @dataclass(frozen=True)
@@ -38,20 +34,18 @@ class Bend:
 
     Attributes:
         start: (D,) where the edge begins.
-        first: indices of the parameters that go first.
-        lead: share of their way by which the others lag behind when the first have arrived.
+        gone: (D,) share of its way that each parameter has gone where it turns.
     """
 
     start: np.ndarray
-    first: np.ndarray
-    lead: float = 1.0
+    gone: np.ndarray
 
     def ahead(self, alpha: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
-        """Where the way from the robot ``alpha`` (D,) to the edge's end ``goal`` (D,) turns: where the edge does, if that is on a
-        shortest way in L1 from there too, else as it would for an edge that begins there. None: it does not, or has turned."""
-        here = corner(alpha, goal, self.first, self.lead)
-        whole = corner(self.start, goal, self.first, self.lead)
-        if here is None or whole is None:
-            return here
-        between = (np.minimum(alpha, goal) - ARRIVED <= whole) & (whole <= np.maximum(alpha, goal) + ARRIVED)
-        return whole if between.all() else here
+        """Where the way from the robot ``alpha`` (D,) to the edge's end ``goal`` (D,) turns: at the edge's corner; from beside the edge,
+        where all parameters that it may still bring there have come as far, and the others stay. None: it does not, or has turned."""
+        turn = corner(self.start, goal, self.gone)
+        if turn is None:
+            return None
+        here = np.clip(turn, np.minimum(alpha, goal), np.maximum(alpha, goal))
+        passed = min(np.abs(here - alpha).max(), np.abs(here - goal).max()) <= ARRIVED
+        return None if passed else here

@@ -249,6 +249,21 @@ class EvolutionSpace(ParameterSpace):
         mine = hand & {THUMB.name} if name == "thumb" else hand - {THUMB.name}
         return np.unique([p.dimension for p in self.parameters if p.element in mine]).astype(int)
 
+    def groups(self) -> dict[str, np.ndarray]:
+        """Indices of the parameters, each in one group: "thumb axis", "fingers axis", "rest axis" and the like.
+
+        A parameter that is several quantities, all of which change together, belongs to the first of them.
+        """
+        sides = {int(dimension): side for side in ("fingers", "thumb") for dimension in self.side(side)}
+        found: dict[str, list[int]] = {}
+        named: set[int] = set()
+        for parameter in self.parameters:
+            if parameter.dimension not in named:
+                named.add(parameter.dimension)
+                quantity = parameter.name.split(".")[1]
+                found.setdefault(f"{sides.get(parameter.dimension, 'rest')} {quantity}", []).append(parameter.dimension)
+        return {name: np.array(dimensions) for name, dimensions in sorted(found.items())}
+
     # ---- what the parameters are -------------------------------------------------------------------------------
 
     def _axis_references(self) -> np.ndarray:
