@@ -35,14 +35,15 @@ _TURNED, _UPRIGHT = "grasp frame's rotation from its start", "object's rotation 
 OBSERVATION = Record({
     **{f"finger/{role}": Entry(1, "rad", "joint", _FINGER, scale=0.3, noise=0.3, jump=0.15) for role in COMMANDED_ROLES},
     "closing_progress": Entry(1, "1", "gripper", _PROGRESS, scale=1.0, noise=0.1, jump=0.1),
-    "grasp_position": Entry(3, "m", "task", "grasp frame origin from its start position", scale=0.05, noise=0.03, jump=0.03),
-    "grasp_rotation": Entry(3, "1", "task", f"{_TURNED}: axis times sine of the angle", scale=0.1, noise=0.1, jump=0.15),
+    "grasp_position": Entry(3, "m", "task", "grasp frame origin from its start position", scale=0.05, gain=0.3, noise=0.03, jump=0.03),
+    "grasp_rotation": Entry(3, "1", "task", f"{_TURNED}: axis times sine of the angle", scale=0.1, gain=0.3, noise=0.1, jump=0.15),
     # Where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An
-    # object that turned in the grasp, or hangs lower in it, is carried past the goal.
+    # object that turned in the grasp, or hangs lower in it, is carried past the goal. By how much depends on how it lies in the grasp, which
+    # no offset tells; how much of its turn and of the grasp's way the policy sees, and how far it turns the grasp for it, does.
     "object_from_grasp": Entry(
         3, "m", "task", "object centre from the grasp frame origin", scale=0.05, explored=0.012, gain=0.4, noise=0.01, jump=0.03
     ),
-    "object_rotation": Entry(3, "1", "task", f"{_UPRIGHT}: axis times sine of the angle", scale=0.1, noise=0.2, jump=0.3),
+    "object_rotation": Entry(3, "1", "task", f"{_UPRIGHT}: axis times sine of the angle", scale=0.1, gain=0.3, noise=0.2, jump=0.3),
     "goal_from_object": Entry(
         3, "m", "task", "goal from the object centre", scale=0.05, explored=0.05, gain=0.4, noise=0.03, jump=0.03
     ),
@@ -51,7 +52,7 @@ OBSERVATION = Record({
 ACTION = Record({
     # On a gripper that closes slowly the hand has to wait for it; what is seen late, or by a noisy camera, asks for slower motions.
     "grasp_translation": Entry(3, "0.05 m", "controller", "OSC delta of the grasp frame's origin", explored=0.05, gain=0.4),
-    "grasp_rotation": Entry(3, "0.5 rad", "controller", "OSC delta of the grasp frame's rotation"),
+    "grasp_rotation": Entry(3, "0.5 rad", "controller", "OSC delta of the grasp frame's rotation", gain=0.3),
     **{f"close/{role}": Entry(1, "1", "gripper", "-1 open, +1 closed posture of that joint") for role in COMMANDED_ROLES},
 })
 """The action record."""

@@ -132,7 +132,8 @@ class SearchLearner:
         """One update on the robot ``alpha`` (D,), where the policy's mean action was measured to have that ``success``.
 
         A turn begins with the deviations that the last one came to; with those for polishing at most where the policy ``holds`` already;
-        and with the declared ones where it has no success, and for gains: another pace is no polish.
+        and with the declared ones where it has no success, and for gains on the last hop: what is seen late there asks for another pace,
+        which is no polish.
 
         Mirrored steps of a pair play the same start, so that a pair's difference is the step's. The first batch of a phase ends after
         its first episodes if none succeeds, unless the policy itself does.
@@ -149,7 +150,8 @@ class SearchLearner:
         directions = self.directions(branch)
         declared = directions.deviation
         if branch.deviation is None or branch.centre is None:
-            begins = 1.0 if success == 0 or branch.turn == "gain" else min(branch.width, settings.polish if holds else 1.0)
+            paced = branch.turn == "gain" and branch.stage == "settle"
+            begins = 1.0 if success == 0 or paced else min(branch.width, settings.polish if holds else 1.0)
             branch.deviation = declared * begins
             branch.centre = np.zeros_like(declared)
         deviation, centre = branch.deviation, branch.centre

@@ -224,7 +224,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 explored(job.task, gains=bool(job.randomise)), self._bends(), self.lab.offset)
+                                 explored(job.task), self._bends(), self.lab.offset)
         if resume:
             try:
                 self.transfer.restore()
@@ -420,19 +420,11 @@ class Pipeline:
         }
 
 
-def explored(task: Task, gains: bool) -> Explored:
-    """What a task declares for the search.
-
-    Args:
-        task: whose records.
-        gains: also those of its entries. They are for conditions of a laboratory: what is seen late, or with noise, asks for another pace.
-    """
-    offsets, responses = task.observation.numbers("explored"), task.action.numbers("explored")
-    if not gains:
-        return Explored(offsets, responses)
+def explored(task: Task) -> Explored:
+    """What a task declares for the search."""
     records: tuple[tuple[Literal["observation", "action"], Record], ...] = (("observation", task.observation), ("action", task.action))
-    found = [Gain(kind, record.slice(name), entry.gain) for kind, record in records for name, entry in record.entries.items() if entry.gain]
-    return Explored(offsets, responses, tuple(found))
+    gains = [Gain(kind, record.slice(name), entry.gain) for kind, record in records for name, entry in record.entries.items() if entry.gain]
+    return Explored(task.observation.numbers("explored"), task.action.numbers("explored"), tuple(gains))
 
 
 def outside_playing(spent: dict[str, float]) -> float:
