@@ -38,8 +38,8 @@ OBSERVATION = Record({
     "grasp_position": Entry(3, "m", "task", "grasp frame origin from its start position", scale=0.05, gain=0.3, noise=0.03, jump=0.03),
     "grasp_rotation": Entry(3, "1", "task", f"{_TURNED}: axis times sine of the angle", scale=0.1, gain=0.3, noise=0.1, jump=0.15),
     # Where the object is believed to be decides where it is grasped, and where the goal is believed to be decides where it is carried. An
-    # object that turned in the grasp, or hangs lower in it, is carried past the goal. By how much depends on how it lies in the grasp, which
-    # no offset tells; how much of its turn and of the grasp's way the policy sees, and how far it turns the grasp for it, does.
+    # object that turned in the grasp, or hangs lower in it, is carried past the goal: by how much depends on how it lies there, which no
+    # offset tells; how much of its turn and of the grasp's way the policy sees, and how far it turns the grasp for it, does.
     "object_from_grasp": Entry(
         3, "m", "task", "object centre from the grasp frame origin", scale=0.05, explored=0.012, gain=0.4, noise=0.01, jump=0.03
     ),

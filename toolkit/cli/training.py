@@ -257,8 +257,8 @@ def transfer(
             is a better start, as looks tell; direct trains on the targets without evolution.
         metric: distance between robots.
         step: adaptive (farthest robot on which the policy holds) or fixed (length xi, as in the paper).
-        path: straight to the meta robot (REvolveR); bent: one side of the grasp before the other on edges where both at once lead
-            through robots that cannot hold; or optimised: also where the expected return grows (HERD), at 72 episodes a step;
+        path: straight to the meta robot (REvolveR); bent: turned on edges where all parameters at once lead through robots that
+            can do less than both ends; or optimised: also where the expected return grows (HERD), at 72 episodes a step;
             default: the preset's, bent for quick and full.
         xi: length of a fixed step, and of the shortest adaptive one; default: the paper's 0.03.
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
