@@ -36,7 +36,7 @@ class TransferConfig:
     """Evolution step, L2 (paper); adaptive: the shortest step tried."""
     path: Bending = "straight"
     """"straight": to the meta robot (REvolveR). "bent": turned, on edges where robots in between can do less than both
-    ends when all parameters go at once; in L1 it is no longer. "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
+    ends when all parameters go at once; no longer in L1. "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
     pull: float = 1.0
     """Weight lambda of the meta robot in the direction of an optimised path (paper)."""
     demonstrations: int = 12
