@@ -7,6 +7,7 @@ import pytest
 
 from toolkit.benchmarks import parity
 from toolkit.capability.bench import Bench
+from toolkit.capability.ways import leading, ways_of
 from toolkit.errors import ToolkitError
 from toolkit.simulation.laws import merged_plant
 
@@ -54,6 +55,17 @@ def test_what_the_script_holds_on_the_ends_is_measured(arms, bench):
     other = Bench(arms.merged)
     other.merged = type("Elsewhere", (), {"task": far, "space": arms.space, "become": arms.merged.become, "driven": arms.merged.driven})()
     assert other.script(limp, 1) == 0.0
+
+
+@pytest.mark.slow
+def test_a_script_that_holds_is_no_tolerance(arms, bench):
+    """Half way from a jaw to the Jaco one finger of two has moved aside before the other presses, and spins the object, unless the other is
+    there first: no policy was seen to lift anything on the one, every one does on the other."""
+    way = next(way for way in ways_of(arms.tree("l1", "steiner")) if way.end == "jaco")
+    bent = way.bent(arms.space, leading(["RF", "TH"]))
+    ends = [bench.tolerance(alpha, 1) for alpha in (way.first, way.last)]
+    assert min(ends) > 0.8
+    assert bench.tolerance(way.at(0.5), 1) < 0.4 < 0.8 * min(ends) < bench.tolerance(bent.at(0.5), 1)
 
 
 def test_an_alpha_outside_the_box_is_refused(arms, bench):

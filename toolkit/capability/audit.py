@@ -7,6 +7,7 @@ The promise, per edge, from what its two ends can do:
     height           of the grip within the ends' interval, widened by 5 mm
     opening, closing within the ends' interval, widened by a tenth
     script           holds wherever it holds at both ends
+    tolerance        at least 0.8 of the weaker end: how many of a few grasps hold that are off by as much as a policy may be
 
 It is kept in reserve where an end cannot hold the object at all: there is nothing to promise.
 """
@@ -15,14 +16,14 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, product, repeat
+from itertools import pairwise, repeat
 from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 
 from toolkit.capability.bench import NOTHING, Bench, Capability
-from toolkit.capability.ways import LEADS, SIDES, Way, gone_at, leading
+from toolkit.capability.ways import Way, gone_at
 from toolkit.errors import ToolkitError
 from toolkit.morphology.build import MergedRobot
 
@@ -39,19 +40,21 @@ HOLDS = 15 / 16
 """Success rate from which a script holds."""
 REFINED = 4
 """Robots that are looked at beside the evenly spaced ones, each between the worst so far and its neighbours."""
-SHARES, LEAST_SHARE = ("balance", "script"), 0.1
+SHARES, LEAST_SHARE = ("balance", "script", "tolerance"), 0.1
 """Quantities without a unit, and the least limit [1] against which these are weighed; the others' is one of their unit."""
 SOUGHT = 160
-"""Turns that are tried for an edge that no side's lead mends, if not told otherwise."""
+"""Turns that are tried for an edge that no digits' going first mends, if not told otherwise."""
 ROUND = 4
 """Of these, at a time: only the best of them where the promise is broken worst is measured along the whole way."""
 MOVED, FEWEST = 0.15, 3
 """Share of the groups of parameters that differ between one turn and the next, and how many do at least, on average."""
 SPREAD = 0.35
 """Standard deviation by which they do, in shares of the way."""
+TRIED = ("script", "tolerance")
+"""Quantities that are measured on some robots alone, by playing."""
 QUANTITIES = {
     "grip_n": "grip force", "balance": "balance", "height_mm": "height of the grip", "opening_mm": "opening",
-    "closing_steps": "closing time", "script": "the script",
+    "closing_steps": "closing time", "script": "the script", "tolerance": "tolerance of grasps",
 }
 """Quantity of a capability -> what it is called."""
 
@@ -115,11 +118,12 @@ class Edge:
 
     @property
     def broken(self) -> float:
-        """How much of the promise is broken: the worst excess of every quantity, 1 at most, a script that fails before all else."""
+        """How much of the promise is broken: the worst excess of every quantity, 1 at most; a script that fails, and grasps that are not
+        tolerated, before all else."""
         worst: dict[str, float] = {}
         for violation in self.violations:
             worst[violation.quantity] = max(worst.get(violation.quantity, 0.0), min(violation.excess, 1.0))
-        return sum(worst.values()) + len(QUANTITIES) * ("script" in worst)
+        return sum(worst.values()) + len(QUANTITIES) * (("script" in worst) + worst.get("tolerance", 0.0))
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -152,6 +156,8 @@ def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, 
         return low - HEIGHT_MM, high + HEIGHT_MM
     if quantity == "script":
         return (HOLDS, np.inf) if low >= HOLDS else None
+    if quantity == "tolerance":
+        return WEAKER * low, np.inf
     slack = WIDENED * max(high - low, high) + (ONE_STEP if quantity == "closing_steps" else ONE_MM)
     return low - slack, high + slack
 
@@ -177,7 +183,7 @@ def violations(robots: dict[float, Capability]) -> list[Violation]:
             continue
         for share, robot in robots.items():
             value = getattr(robot, quantity)
-            if quantity == "script" and value is None:
+            if quantity in TRIED and value is None:
                 continue
             value = np.inf if value is None else float(value)
             if quantity in ("height_mm", "balance") and robot.grip_n < NOTHING:
@@ -197,7 +203,7 @@ class Audit:
         scripted: every how many of them the script is tried on.
         causes: whether to ask what causes the worst violation of every quantity.
         brief: only what a closed gripper tells; a second per way.
-        tries: turns that ``best`` searches where no side's lead keeps the promise; 0: none.
+        tries: turns that ``best`` searches where no digits' going first keeps the promise; 0: none.
         threads: workers; default: the machine's cores.
     """
 
@@ -219,15 +225,17 @@ class Audit:
     def best(self, way: Way) -> Edge:
         """A way audited as it is, or turned, whichever keeps the promise best; of equals the one that breaks it for the shortest stretch.
 
-        It turns so that one side of the grasp goes first, or, where no such turn keeps the promise, as a search finds it.
+        It turns so that some digits of the grasp go first, or, where no such turn keeps the promise, as a search finds it.
         """
         found = [self.along(way)]
-        for lead, side in product(LEADS, SIDES):
-            other = way.bent(self.merged.space, leading(side, lead)) if found[-1].violations else None
+        for turn in way.turns(self.merged.space):
+            other = way.bent(self.merged.space, turn) if found[-1].violations else None
             if other is not None:
                 found.append(self.along(other))
         best = min(found, key=lambda edge: edge.rank)
-        sought = self._sought(way, best) if best.violations and self._tries else None
+        # What is told by playing takes minutes to search.
+        played = self._brief and any(v.quantity in TRIED for v in best.violations)
+        sought = self._sought(way, best) if best.violations and self._tries and not played else None
         # What was found without the script and by fewer causes is measured as the others were before it counts.
         return best if sought is None else min(best, self.along(sought), key=lambda edge: edge.rank)
 
@@ -237,7 +245,7 @@ class Audit:
         Where each group of parameters stands at the corner is what is searched, by an evolution strategy that keeps the better of two
         (Rechenberg 1973). A turn that is no better on the robot that is worst now is given up after that one.
         """
-        space, generator, script = self.merged.space, np.random.default_rng(0), any(v.quantity == "script" for v in best.violations)
+        space, generator, script = self.merged.space, np.random.default_rng(0), any(v.quantity in TRIED for v in best.violations)
         groups = space.groups()
         shares = np.full(len(groups), 0.5)
         if best.way.turn is not None:
@@ -313,14 +321,14 @@ class Audit:
         while len(out) < REFINED:
             known = robots | out
             found = violations(known)
-            if self._brief and found and found[0].quantity == "script":
+            if self._brief and found and found[0].quantity in TRIED:
                 return out  # that it fails is known, and failing takes the longest
             inner = [share for share in known if 0.0 < share < 1.0] or [0.0]
             worst = found[0].share if found else min(inner, key=lambda share: known[share].grip_n)
             order = sorted(known)
             place = order.index(worst)
             sides = [0.5 * (order[place] + order[other]) for other in (place - 1, place + 1) if 0 <= other < len(order)]
-            fresh = self._measured(way, sides, set(sides) if found and found[0].quantity == "script" else set())
+            fresh = self._measured(way, sides, set(sides) if found and found[0].quantity in TRIED else set())
             out |= fresh
         return out
 

@@ -36,8 +36,12 @@ DELTA_METRES = 0.05
 """[m] of robosuite's OSC_POSE per unit of action."""
 GRASPS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.008), (0.0, 0.0, -0.008), (0.0, 0.008, 0.0), (0.0, -0.008, 0.0))
 """Shifts [m] of the object in the scripted grasp: as scripted, deeper, shallower, and towards either side of the jaws."""
+ASIDE = ((0.0, 0.0, 0.0), *(tuple(row) for row in 0.012 * np.vstack([np.eye(3), -np.eye(3)])))
+"""The same where tolerance is asked: as far off as policies are that hold."""
 LIFTS = (0.2, 0.8)
 """Closing progress from which it lifts: as scripted, and patiently, for fingers that come late."""
+EARLY = -0.2
+"""The same of a policy that lifts while its fingers still close: fingers that touch one after the other spin what they hold, then."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class Capability:
         tracking: share of a commanded OSC delta that the grasp frame moves, mean over three axes; None: not measured.
         overshoot: largest way back after the command has ended, as a share of the way.
         script: best success rate of a few scripted grasps; None: not tried.
+        tolerance: mean success rate of scripted grasps that are off by as much as a policy's, half of which lift early; None: not tried.
     """
 
     grip_n: float
@@ -71,11 +76,12 @@ class Capability:
     tracking: float | None = None
     overshoot: float | None = None
     script: float | None = None
+    tolerance: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As plain numbers, rounded to what they mean."""
         digits = {"grip_n": 2, "balance": 3, "height_mm": 1, "askew_nmm": 1, "opening_mm": 1, "reach_mm": 1, "clearance_mm": 1,
-                  "tracking": 3, "overshoot": 3, "script": 3, "closing_steps": 1}
+                  "tracking": 3, "overshoot": 3, "script": 3, "tolerance": 3, "closing_steps": 1}
         out: dict[str, Any] = {}
         for name, number in digits.items():
             value = getattr(self, name)
@@ -147,12 +153,14 @@ class Bench:
             clearance_mm=1e3 * (self.merged.task.object.half_height - script.object_from_grasp[2] - reach),
             **({} if brief else self._following(plant)),
         )
-        return found if episodes == 0 else replace(found, script=self.script(alpha, episodes))
+        if episodes == 0:
+            return found
+        return replace(found, script=self.script(alpha, episodes), tolerance=self.tolerance(alpha, episodes))
 
     def quantity(self, alpha: np.ndarray, name: str, episodes: int) -> float | None:
         """One quantity of F(alpha) by itself, as ``measure`` would give it."""
-        if name == "script":
-            return self.script(alpha, episodes)
+        if name in ("script", "tolerance"):
+            return (self.script if name == "script" else self.tolerance)(alpha, episodes)
         plant = merged_plant(self.merged, alpha, self._model, self._data)
         plant.begin(0)
         if name == "opening_mm":
@@ -269,6 +277,16 @@ class Bench:
                 if best == 1.0:
                     return best
         return best
+
+    def tolerance(self, alpha: np.ndarray, episodes: int) -> float:
+        """Mean success rate of scripted grasps that are aside, and early, ``episodes`` each, the same starts for every robot.
+
+        A script that waits for all fingers and takes the best of its grasps holds on robots that no policy can use.
+        """
+        base = pick_script(self.merged.task.object)
+        grasps = [replace(base, object_from_grasp=tuple(np.add(base.object_from_grasp, shift)), lift_from=lift)
+                  for shift in ASIDE for lift in (EARLY, LIFTS[0])]
+        return float(np.mean([self._held(alpha, grasp, episodes, -1.0) for grasp in grasps]))
 
     def _held(self, alpha: np.ndarray, script: PickScript, episodes: int, best: float) -> float:
         """Success rate of one scripted grasp; given up once it cannot pass ``best``."""

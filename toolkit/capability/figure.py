@@ -14,6 +14,7 @@ from toolkit.errors import ToolkitError
 ROWS = {
     "grip_n": "grip [N]", "balance": "balance", "height_mm": "height [mm]", "opening_mm": "opening [mm]",
     "closing_steps": "closing [steps]", "clearance_mm": "clearance [mm]", "tracking": "tracking", "script": "script",
+    "tolerance": "tolerance",
 }
 """Quantity -> label of its row."""
 LINE, BROKEN, BAND = "#0072b2", "#d55e00", "#e8e8e8"
@@ -24,7 +25,7 @@ def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
 
     A quantity that no robot of any edge was measured for, as in a transfer's own short audit, has no row.
     """
-    measured = {quantity for quantity in ROWS for edge in edges for robot in edge["robots"] if robot[quantity] is not None}
+    measured = {quantity for quantity in ROWS for edge in edges for robot in edge["robots"] if robot.get(quantity) is not None}
     rows = {quantity: label for quantity, label in ROWS.items() if quantity in measured} or ROWS
     figure = Figure(figsize=(0.8 + 1.55 * max(len(edges), 1), 1.15 * len(rows) + 0.6), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
@@ -44,7 +45,7 @@ def audit_figure(edges: Sequence[dict[str, Any]]) -> Figure:
 
 
 def _panel(axes: Any, edge: dict[str, Any], quantity: str) -> None:
-    robots = [(robot["share"], robot[quantity]) for robot in edge["robots"] if robot[quantity] is not None]
+    robots = [(robot["share"], robot[quantity]) for robot in edge["robots"] if robot.get(quantity) is not None]
     broken = [v for v in edge["violations"] if v["quantity"] == quantity]
     if broken:
         low, high = (limit if limit is not None else default for limit, default in zip(broken[0]["allowed"], (-1e9, 1e9), strict=True))

@@ -2,44 +2,47 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from grippers.gripper import DIGITS
 from toolkit.errors import ToolkitError
 from toolkit.evolution.bend import corner
 from toolkit.evolution.tree import EvolutionTree
 from toolkit.morphology.space import EvolutionSpace
 
 SIDES = ("fingers", "thumb")
-"""What may go first on a way that turns a corner."""
-LEADS = (1.0, 0.5, 0.25)
-"""By which shares of their way the others may then lag behind, the most telling first."""
+"""Sides of the grasp, either of which may go first on a way that turns a corner."""
+LEADS = (0.5, 0.25)
+"""By which shares of their way the others may then lag behind, if it is not the whole of it, the most telling first."""
+WORDS = {digit.name: digit.title for digit in DIGITS}
 REST = "rest"
 """All parameters that a turn does not name."""
 
 Turn = Mapping[str, float]
-"""How a way turns: side or group of parameters (``EvolutionSpace.groups``), or REST -> the share of its way that it has gone there."""
+"""How a way turns: side, digit or group of parameters (``EvolutionSpace.groups``), or REST -> share of its way that it has gone there."""
 
 
-def leading(side: str, lead: float) -> Turn:
-    """The turn at which one side of the grasp has arrived and all else lags behind by a share of its way."""
-    return {side: 1.0, REST: 1.0 - lead}
+def leading(first: Sequence[str], lead: float = 1.0) -> Turn:
+    """The turn at which sides of the grasp, or digits, have arrived and all else lags behind by a share of its way."""
+    return dict.fromkeys(first, 1.0) | {REST: 1.0 - lead}
 
 
 def turning(turn: Turn) -> str:
     """In words, how a way turns."""
-    side = next(iter(turn))
-    if side not in SIDES:
+    if REST not in turn:
         return f"turned, by {len(turn)} groups of parameters"
+    names = " and ".join(WORDS.get(name, name) for name in turn if name != REST)
     lead = 1.0 - turn[REST]
-    return f"{side} first{'' if lead == 1.0 else f', by {lead:.0%}'}"
+    return f"{names} first{'' if lead == 1.0 else f', by {lead:.0%}'}"
 
 
 def turn_in(edge: Mapping[str, Any]) -> Turn | None:
     """How an edge of an audit's JSON turns; those of older runs name the side that goes first, and its lead."""
     if edge.get("first") is not None:
-        return leading(edge["first"], edge.get("lead") or 1.0)
+        return leading([edge["first"]], edge.get("lead") or 1.0)
     return edge.get("turn")
 
 
@@ -49,7 +52,7 @@ def gone_at(turn: Turn, space: EvolutionSpace) -> np.ndarray:
     Raises:
         ToolkitError: the space has no such group.
     """
-    groups = space.groups() | {side: space.side(side) for side in SIDES}
+    groups = space.groups() | space.digits() | {side: space.side(side) for side in SIDES}
     out = np.full(space.size, turn.get(REST, 0.5))
     for name, share in turn.items():
         if name not in groups and name != REST:
@@ -89,6 +92,13 @@ class Way:
         """The same way, so turned; None: all that moves on it is as far there."""
         place = corner(self.first, self.last, gone_at(turn, space))
         return None if place is None else replace(self, corner=place, turn=turn)
+
+    def turns(self, space: EvolutionSpace) -> list[Turn]:
+        """Turns that mean something: digits of the grasp that go first, few before many, and sides of it that lead by a part of the way."""
+        moving = np.abs(self.last - self.first) > 0.0
+        digits = [name for name, dimensions in space.digits().items() if moving[dimensions].any()]
+        first = [subset for count in range(1, len(digits) + 1) for subset in combinations(digits, count)]
+        return [leading(subset) for subset in first] + [leading([side], lead) for lead in LEADS for side in SIDES]
 
     @property
     def told(self) -> str:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from grippers.gripper import DIGIT_OF, THUMB
+from grippers.gripper import DIGIT_OF, DIGITS, THUMB
 from tasks.pick import START_ROTATION
 from toolkit.errors import ToolkitError
 from toolkit.morphology.matching import CUBE, UNLIMITED_ANGLE, UNLIMITED_LENGTH, Coupling, Curve, Joint, Matching, Shape, System
@@ -248,6 +248,11 @@ class EvolutionSpace(ParameterSpace):
         hand = {slot.element for slot in self.matching.slots} - arm
         mine = hand & {THUMB.name} if name == "thumb" else hand - {THUMB.name}
         return np.unique([p.dimension for p in self.parameters if p.element in mine]).astype(int)
+
+    def digits(self) -> dict[str, np.ndarray]:
+        """Indices of the parameters of each finger and of the thumb."""
+        found = {digit.name: np.unique([p.dimension for p in self.parameters if p.element == digit.name]).astype(int) for digit in DIGITS}
+        return {name: dimensions for name, dimensions in found.items() if len(dimensions)}
 
     def groups(self) -> dict[str, np.ndarray]:
         """Indices of the parameters, each in one group: "thumb axis", "fingers axis", "rest axis" and the like.

@@ -54,7 +54,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 """Preset name -> overrides of TransferConfig and NpgConfig, episodes of the final evaluation, and targets other than the usual three."""
 TURNS_TRIED = 80
-"""Turns that are searched before a transfer for an edge that no side's lead mends, a quarter of a second each."""
+"""Turns that are searched before a transfer for an edge that no digits' going first mends, a quarter of a second each."""
 AUDITED = 5
 """Robots per edge that are measured before a transfer begins."""
 
