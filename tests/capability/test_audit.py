@@ -120,7 +120,7 @@ def test_where_both_sides_at_once_cannot_hold_one_goes_first(arms, tmp_path):
     tree = arms.tree("l1", "steiner")
     way = next(way for way in ways_of(tree) if way.end == "jaco")
     (straight,), (bent,) = (
-        run_audit(arms.merged, [way], bend=bend, robots=3, episodes=3, scripted=1, causes=False, brief=True, threads=2)
+        run_audit(arms.merged, [way], bend=bend, robots=3, episodes=2, scripted=1, causes=False, brief=True, threads=2)
         for bend in (False, True)
     )
     assert "script" in {v.quantity for v in straight.violations} and straight.way.turn is None
@@ -150,7 +150,7 @@ def test_digits_go_first_few_before_many(arms):
     way = Way("kinova3", "jaco", arms.space.beta("kinova3"), arms.space.beta("jaco"))
     turns = [list(turn) for turn in way.turns(arms.space)]
     assert turns[:3] == [["FF", REST], ["RF", REST], ["TH", REST]] and ["RF", "TH", REST] in turns, "the Jaco has no middle finger"
-    assert turns.index(["FF", REST]) < turns.index(["FF", "RF", REST]) < turns.index(["FF", "RF", "TH", REST])
+    assert turns.index(["FF", REST]) < turns.index(["FF", "RF", REST]) < turns.index(["fingers", REST])
 
 
 def test_groups_part_the_parameters_by_side_and_quantity(arms):

@@ -94,11 +94,11 @@ class Way:
         return None if place is None else replace(self, corner=place, turn=turn)
 
     def turns(self, space: EvolutionSpace) -> list[Turn]:
-        """Turns that mean something: digits of the grasp that go first, few before many, and sides of it that lead by a part of the way."""
+        """Turns that mean something: a digit of the grasp goes first, or two, or all fingers; or a side leads by a part of the way."""
         moving = np.abs(self.last - self.first) > 0.0
         digits = [name for name, dimensions in space.digits().items() if moving[dimensions].any()]
-        first = [subset for count in range(1, len(digits) + 1) for subset in combinations(digits, count)]
-        return [leading(subset) for subset in first] + [leading([side], lead) for lead in LEADS for side in SIDES]
+        first = [*combinations(digits, 1), *combinations(digits, 2), SIDES[:1]]
+        return [leading(names) for names in first] + [leading([side], lead) for lead in LEADS for side in SIDES]
 
     @property
     def told(self) -> str:

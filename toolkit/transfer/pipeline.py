@@ -303,7 +303,7 @@ class Pipeline:
             self.run.write_json("audit", found)
             return found
         bend = self.job.transfer.path == "bent"
-        edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=2 * bend, scripted=1, causes=False,
+        edges = run_audit(self.lab.merged, ways_of(self.tree), bend=bend, robots=AUDITED, episodes=int(bend), scripted=1, causes=False,
                           brief=True, tries=TURNS_TRIED)
         found = {"verdict": verdict(edges), "edges": [edge.to_json() for edge in edges]}
         self.run.write_json("audit", found)
