@@ -119,7 +119,7 @@ def test_where_both_sides_at_once_cannot_hold_one_goes_first(arms, tmp_path):
     tree = arms.tree("l1", "steiner")
     way = next(way for way in ways_of(tree) if way.end == "jaco")
     (straight,), (bent,) = (
-        run_audit(arms.merged, [way], bend=bend, robots=3, episodes=2, scripted=1, causes=False, brief=True, threads=2)
+        run_audit(arms.merged, [way], bend=bend, robots=3, episodes=3, scripted=1, causes=False, brief=True, threads=2)
         for bend in (False, True)
     )
     assert "script" in {v.quantity for v in straight.violations} and straight.way.turn is None

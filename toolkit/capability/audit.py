@@ -13,7 +13,7 @@ It is kept in reserve where an end cannot hold the object at all: there is nothi
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, repeat
@@ -99,6 +99,15 @@ class Violation:
         return f"{QUANTITIES[self.quantity]} {self.value:.3g} at {self.share:.1%} of the way, {asked} asked{because}"
 
 
+def broken(found: Sequence[Violation]) -> float:
+    """How much of the promise is broken: the worst excess of every quantity, 1 at most; a script that fails, and grasps that are not
+    tolerated, before all else."""
+    worst: dict[str, float] = {}
+    for violation in found:
+        worst[violation.quantity] = max(worst.get(violation.quantity, 0.0), min(violation.excess, 1.0))
+    return sum(worst.values()) + len(QUANTITIES) * (("script" in worst) + worst.get("tolerance", 0.0))
+
+
 @dataclass(frozen=True)
 class Edge:
     """An audited way: what its robots can do, by share of the way, and where that breaks the promise (worst first)."""
@@ -118,12 +127,8 @@ class Edge:
 
     @property
     def broken(self) -> float:
-        """How much of the promise is broken: the worst excess of every quantity, 1 at most; a script that fails, and grasps that are not
-        tolerated, before all else."""
-        worst: dict[str, float] = {}
-        for violation in self.violations:
-            worst[violation.quantity] = max(worst.get(violation.quantity, 0.0), min(violation.excess, 1.0))
-        return sum(worst.values()) + len(QUANTITIES) * (("script" in worst) + worst.get("tolerance", 0.0))
+        """How much of the promise is broken; see ``broken``."""
+        return broken(self.violations)
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -227,17 +232,19 @@ class Audit:
 
         It turns so that some digits of the grasp go first, or, where no such turn keeps the promise, as a search finds it.
         """
-        found = [self.along(way)]
+        straight = self._audited(way)
+        found, ends = [straight], {0.0: straight.ends[0], 1.0: straight.ends[1]}
         for turn in way.turns(self.merged.space):
             other = way.bent(self.merged.space, turn) if found[-1].violations else None
             if other is not None:
-                found.append(self.along(other))
+                found.append(self._audited(other, known=ends))
         best = min(found, key=lambda edge: edge.rank)
         # What is told by playing takes minutes to search.
         played = self._brief and any(v.quantity in TRIED for v in best.violations)
         sought = self._sought(way, best) if best.violations and self._tries and not played else None
-        # What was found without the script and by fewer causes is measured as the others were before it counts.
-        return best if sought is None else min(best, self.along(sought), key=lambda edge: edge.rank)
+        if sought is not None:  # it may have been found without the script; the others were measured with it
+            best = min(best, self._audited(sought, known=ends), key=lambda edge: edge.rank)
+        return self._explained(best)
 
     def _sought(self, way: Way, best: Edge) -> Way | None:
         """A search of the turn that keeps the promise better than ``best`` does; None: it found none.
@@ -251,7 +258,7 @@ class Audit:
         if best.way.turn is not None:
             gone = gone_at(best.way.turn, space)
             shares = np.array([gone[dimensions[0]] for dimensions in groups.values()])
-        now, found = best, None
+        now, found, ends = best, None, {0.0: best.ends[0], 1.0: best.ends[1]}
         for _ in range(0, self._tries, ROUND):
             ways = []
             for _ in range(ROUND):
@@ -263,11 +270,10 @@ class Audit:
                     ways.append(turned)
             worst = now.violations[0].share
             probes = self._pool.map(self._one, [turned.at(worst) for turned in ways], repeat(self.episodes * script))
-            ranks = [Edge(way, {}, violations({0.0: now.ends[0], worst: probe, 1.0: now.ends[1]})).broken for probe in probes]
-            here = Edge(way, {}, [v for v in now.violations if v.share == worst]).broken
-            if not ranks or min(ranks) >= here:
+            there = [broken(violations(ends | {worst: probe})) for probe in probes]
+            if not there or min(there) >= broken([v for v in now.violations if v.share == worst]):
                 continue
-            edge = self._audited(ways[int(np.argmin(ranks))], script, causes=False)
+            edge = self._audited(ways[int(np.argmin(there))], script, ends)
             if edge.rank < now.rank and edge.way.turn is not None:
                 now, found, shares = edge, edge.way, np.array([edge.way.turn[name] for name in groups])
             if not now.violations:
@@ -280,21 +286,28 @@ class Audit:
 
     def along(self, way: Way) -> Edge:
         """What the robots of a way can do, evenly spaced and where it looks worst, and what causes it."""
-        return self._audited(way, script=True, causes=self.causes)
+        return self._explained(self._audited(way))
 
-    def _audited(self, way: Way, script: bool, causes: bool) -> Edge:
+    def _audited(self, way: Way, script: bool = True, known: Mapping[float, Capability] | None = None) -> Edge:
+        """A way without causes; with the script or without, and what is ``known`` of its robots by share of the way, as of its ends."""
         shares = np.linspace(0.0, 1.0, self.count).tolist()
         tried = {float(s) for s in shares[:: self.scripted]} | {1.0} if script else set()
-        robots = self._measured(way, shares, tried)
+        robots = dict(known or {})
+        robots |= self._measured(way, [share for share in shares if share not in robots], tried)
         why = reserve(way, robots[0.0], robots[1.0], self.merged.task.object.width)
         if why is not None:
             return Edge(way, robots, [], why)
         robots |= self._refined(way, robots)
-        found = violations(robots)
-        if causes:
-            worst = {v.quantity: v for v in reversed(found)}
-            found = [replace(v, cause=self._cause_on(way, v, found, robots)) if worst[v.quantity] is v else v for v in found]
-        return Edge(way, dict(sorted(robots.items())), found)
+        return Edge(way, dict(sorted(robots.items())), violations(robots))
+
+    def _explained(self, edge: Edge) -> Edge:
+        """With the cause of the worst violation of every quantity, where causes are asked for."""
+        if not self.causes:
+            return edge
+        found = edge.violations
+        worst = {v.quantity: v for v in reversed(found)}
+        told = [replace(v, cause=self._cause_on(edge.way, v, found, edge.robots)) if worst[v.quantity] is v else v for v in found]
+        return replace(edge, violations=told)
 
     def _measured(self, way: Way, shares: Sequence[float], scripted: set[float]) -> dict[float, Capability]:
         ask = lambda share: self._one(way.at(share), self.episodes if float(share) in scripted else 0)  # noqa: E731

@@ -3,6 +3,7 @@
 Everything is measured on F(alpha) in MuJoCo, arm and box clamped where it is the fingers that are asked.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -267,12 +268,10 @@ class Bench:
 
     def script(self, alpha: np.ndarray, episodes: int) -> float:
         """Best success rate of a few scripted grasps, ``episodes`` each, the same starts for every robot; the first whole one ends it."""
-        base = pick_script(self.merged.task.object)
         best = 0.0
         for shift in GRASPS:
-            grasp = tuple(np.add(base.object_from_grasp, shift))
             for patience in LIFTS:
-                held = self._held(alpha, replace(base, object_from_grasp=grasp, lift_from=patience), episodes, best)
+                held = self._held(alpha, self._scripted(shift, patience), episodes, best)
                 best = max(best, held)
                 if best == 1.0:
                     return best
@@ -283,10 +282,13 @@ class Bench:
 
         A script that waits for all fingers and takes the best of its grasps holds on robots that no policy can use.
         """
-        base = pick_script(self.merged.task.object)
-        grasps = [replace(base, object_from_grasp=tuple(np.add(base.object_from_grasp, shift)), lift_from=lift)
-                  for shift in ASIDE for lift in (EARLY, LIFTS[0])]
+        grasps = [self._scripted(shift, lift) for shift in ASIDE for lift in (EARLY, LIFTS[0])]
         return float(np.mean([self._held(alpha, grasp, episodes, -1.0) for grasp in grasps]))
+
+    def _scripted(self, shift: Sequence[float], lift: float) -> PickScript:
+        """The task's script with the object elsewhere in its grasp by ``shift`` (3,) [m], that lifts from that closing progress on."""
+        base = pick_script(self.merged.task.object)
+        return replace(base, object_from_grasp=tuple(np.add(base.object_from_grasp, shift)), lift_from=lift)
 
     def _held(self, alpha: np.ndarray, script: PickScript, episodes: int, best: float) -> float:
         """Success rate of one scripted grasp; given up once it cannot pass ``best``."""

@@ -97,7 +97,7 @@ class Way:
         """Turns that mean something: a digit of the grasp goes first, or two, or all fingers; or a side leads by a part of the way."""
         moving = np.abs(self.last - self.first) > 0.0
         digits = [name for name, dimensions in space.digits().items() if moving[dimensions].any()]
-        first = [*combinations(digits, 1), *combinations(digits, 2), SIDES[:1]]
+        first = [*combinations(digits, 1), *combinations(digits, 2), ("fingers",)]
         return [leading(names) for names in first] + [leading([side], lead) for lead in LEADS for side in SIDES]
 
     @property
