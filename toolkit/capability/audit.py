@@ -232,13 +232,17 @@ class Audit:
 
         It turns so that some digits of the grasp go first, or, where no such turn keeps the promise, as a search finds it.
         """
-        straight = self._audited(way)
-        found, ends = [straight], {0.0: straight.ends[0], 1.0: straight.ends[1]}
+        best = self._audited(way)
+        ends = {0.0: best.ends[0], 1.0: best.ends[1]}
         for turn in way.turns(self.merged.space):
-            other = way.bent(self.merged.space, turn) if found[-1].violations else None
-            if other is not None:
-                found.append(self._audited(other, known=ends))
-        best = min(found, key=lambda edge: edge.rank)
+            other = way.bent(self.merged.space, turn) if best.violations else None
+            if other is None:
+                continue
+            # What a script tells takes longest, and only ever adds to what is broken.
+            edge = self._audited(other, script=False, known=ends)
+            if self.episodes and edge.broken <= best.broken:
+                edge = self._audited(other, known=ends)
+            best = min(best, edge, key=lambda edge: edge.rank)
         # What is told by playing takes minutes to search.
         played = self._brief and any(v.quantity in TRIED for v in best.violations)
         sought = self._sought(way, best) if best.violations and self._tries and not played else None
