@@ -8,6 +8,7 @@ along as the robots move: from 0.1 at the source to 0.96 at the meta robot, then
 
 import numpy as np
 
+from tasks.sight import Sight
 from toolkit.evolution import Terminal
 from toolkit.learning.episode import Episode
 from toolkit.learning.exploration import Explored
@@ -41,6 +42,11 @@ def tolerance(seed):
     return TOLERANCE * (0.5 + 0.5 * (seed * 5 % 12 + 1) / 12)
 
 
+def own(sight):
+    """The observation (1,) of a robot's own that is seen as OBSERVATION."""
+    return np.linalg.solve(sight.matrix, OBSERVATION - sight.constant)
+
+
 class Killed(Exception):
     """What stands for a kill."""
 
@@ -50,13 +56,13 @@ class Toy:
 
     Attributes:
         calls: (branch, training or not, alphas, seeds) per batch, the branch as it was when it asked.
-        offset: alpha (3,) -> (1,) by which that robot's observation is off.
+        sight: alpha (3,) -> how that robot's own observation is seen for the toy's.
         episodes: played.
     """
 
-    def __init__(self, kill_after=None, succeeds=True, shift=0.0, offset=None):
+    def __init__(self, kill_after=None, succeeds=True, shift=0.0, sight=None):
         self.kill_after, self.succeeds, self.shift = kill_after, succeeds, shift
-        self.offset = offset or (lambda alpha: np.zeros(1))
+        self.sight = sight or (lambda alpha: Sight.plain(1))
         self.calls, self.episodes, self.transfer, self.stopped = [], 0, None, False
 
     def play(self, actor, alphas, seeds):
@@ -78,7 +84,7 @@ class Toy:
         self.stopped = True
 
     def one(self, actor, alpha, seed):
-        observation = OBSERVATION + self.offset(alpha)
+        observation = own(self.sight(alpha))
         action = actor(observation, np.random.default_rng((seed, 1)))
         success = self.succeeds and abs(float(action[0]) - wanted(alpha) - self.shift) < tolerance(seed)
         return Episode(
@@ -125,14 +131,14 @@ def natives(**settings):
 
 
 def transfer_of(folder, settings, player, resume=False, targets=TARGETS, native=None, report=None, on_batch=None, bends=None,
-                explored=EXPLORED, offset=None):
+                explored=EXPLORED, sight=None):
     """A Transfer in a run folder, and the run."""
     run = Run.open(folder, {}) if resume else Run.create(folder, {})
     native = {name: (lambda toy=toy: toy) for name, toy in (native or {}).items()}
     quiet = lambda *seen: None  # noqa: E731
     learner = expert() if settings.learner == "npg" else seeing_expert()
     transfer = Transfer(settings, SOURCE, list(targets), *learner, player, native, run, report or quiet, on_batch or quiet, explored,
-                        bends, offset)
+                        bends, sight)
     for toy in (player, *(maker() for maker in native.values())):
         toy.transfer = transfer
     if resume:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from toys import CRAWL, CRAWLER_ROBOTS
 
+from tasks.sight import Sight
 from toolkit.evaluation.walk import walk
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.morphology.lab import Lab
@@ -24,14 +25,15 @@ def lab():
 
 
 def test_every_edge_is_walked_from_end_to_end(lab):
-    """On evaluation's seeds, each robot's observations off as they are for it alone."""
+    """On evaluation's seeds, each robot seen as it is for it alone."""
     policy = GaussianPolicy(HIGH.observation.names, HIGH.action.names, np.random.default_rng(0))
     policy.set_parameters(np.random.default_rng(1).standard_normal(len(policy.parameters)))
     tree = lab.tree("l1", "steiner")
-    offset = lambda alpha: np.full(HIGH.observation.size, alpha.sum())  # noqa: E731
+    size = HIGH.observation.size
+    sight = lambda alpha: Sight(np.eye(size) + 0.1 * alpha.sum() * np.tri(size), np.full(size, alpha.sum()))  # noqa: E731
     engine = RolloutEngine(lab.merged, threads=1)
     try:
-        found = list(walk(policy, engine, tree, STEPS, EPISODES, offset))
+        found = list(walk(policy, engine, tree, STEPS, EPISODES, sight))
     finally:
         engine.close()
     names = [node.name for node in tree.nodes]
@@ -41,7 +43,7 @@ def test_every_edge_is_walked_from_end_to_end(lab):
     for start, end, share in wanted:
         ends = [tree.nodes[names.index(name)].alpha for name in (start, end)]
         alpha = (1 - share) * ends[0] + share * ends[1]
-        plant, actor = merged_plant(lab.merged, alpha, *lab.merged.new()), MeanActor(policy.offset_by(offset(alpha)))
+        plant, actor = merged_plant(lab.merged, alpha, *lab.merged.new()), MeanActor(policy.through(sight(alpha)))
         played = [play(plant, actor, EVALUATION_SEEDS + i, alpha) for i in range(EPISODES)]
         counts.append((EPISODES, sum(e.success for e in played), sum(e.diverged for e in played)))
     assert [(point.episodes, point.successes, point.diverged) for point in found] == counts

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from toy_policies import make_policy, make_value
 
+from tasks.sight import Sight
 from toolkit.errors import ToolkitError
 from toolkit.learning import npg
 from toolkit.learning.cloning import CloningConfig
@@ -53,6 +54,21 @@ def test_layers_are_the_network():
     flat = np.concatenate([array.ravel() for layer in layers.weights for array in layer])
     assert np.array_equal(flat, policy.parameters[:-3]), "layers() must follow the parameters"
     assert np.array_equal(layers.log_std, policy.parameters[-3:])
+
+
+def test_through_a_sight_a_policy_does_what_it_does_on_what_is_seen():
+    rng = np.random.default_rng(2)
+    policy = GaussianPolicy(["a", "b", "c"], ["u", "v"], rng, hidden=(5, 4))
+    scale = np.array([0.1, 1.0, 30.0])
+    policy.set_normalisation(scale * rng.normal(size=3), scale)
+    sight = Sight(np.eye(3) + 0.3 * rng.normal(size=(3, 3)) * scale[:, None] / scale, scale * rng.normal(size=3))
+    observations = scale * rng.normal(size=(7, 3))
+    before = policy.parameters
+    np.testing.assert_allclose(policy.through(sight).mean(observations), policy.mean(sight(observations)), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(policy.parameters, before)
+    plain = policy.through(Sight.plain(3))
+    np.testing.assert_array_equal(plain.parameters, before)
+    np.testing.assert_array_equal(plain.layers().shift, policy.layers().shift)
 
 
 def test_acting_draws_from_the_stated_distribution():

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from toy_transfer import NPG, OBSERVATION, TARGETS, TOLERANCE, Toy, config, records, timeless, tolerance, transfer_of
+from toy_transfer import NPG, OBSERVATION, TARGETS, TOLERANCE, Toy, config, own, records, timeless, tolerance, transfer_of
 
+from tasks.sight import Sight
 from toolkit.runs.seeds import CHECKING_SEEDS, EVALUATION_SEEDS, TRAINING_SEEDS
 
 pytestmark = pytest.mark.usefixtures("unhurried")
@@ -76,25 +77,26 @@ def test_every_robot_is_checked_on_the_same_seeds(finished):
     assert all(any(np.allclose(alpha, target.alpha) for target in TARGETS) for call in anew for alpha in call["alphas"])
 
 
-def test_where_a_robot_holds_is_no_matter_to_what_is_taken_along(tmp_path):
-    """Robots whose observations are off by what is said of them learn, move and cost as those whose are not; what arrives is the
-    policy of the target's own observations, and so is what is shown of the way, with the robot's own episodes."""
-    offset = lambda alpha: np.array([0.5 * alpha[1] - alpha[2]])  # noqa: E731
+def test_how_a_robot_is_seen_is_no_matter_to_what_is_taken_along(tmp_path):
+    """Robots whose own observations are others, as is said of them, learn, move and cost as those that are seen as they are; what
+    arrives is the policy of the target's own observations, and so is what is shown of the way, with the robot's own episodes."""
+    sight = lambda alpha: Sight(np.array([[1.0 + 0.5 * alpha[0]]]), np.array([alpha[2] - 0.5 * alpha[1]]))  # noqa: E731
     shown = []
     for learner in ("npg", "search"):
         settings = config(learner=learner)
         even = transfer_of(tmp_path / f"{learner}-even", settings, Toy())
-        odd = transfer_of(tmp_path / f"{learner}-odd", settings, Toy(offset=offset), offset=offset,
+        odd = transfer_of(tmp_path / f"{learner}-odd", settings, Toy(sight=sight), sight=sight,
                           on_batch=lambda branch, episodes, noise, policies: shown.extend(zip(episodes, policies, strict=True)))
         even.meta_evolve()
         odd.meta_evolve()
         for one, other in zip(timeless(even), timeless(odd), strict=True):
             assert {key: pytest.approx(value, abs=1e-6) if isinstance(value, float) else value for key, value in one.items()} == other
         for target in TARGETS:
-            mine, there = even.arrived[target.name], odd.arrived[target.name]
-            np.testing.assert_allclose(there.layers().shift - offset(target.alpha), mine.layers().shift, atol=1e-9)
-            np.testing.assert_allclose(there.mean(OBSERVATION + offset(target.alpha)), mine.mean(OBSERVATION), atol=1e-9)
+            mine, there, seen = even.arrived[target.name], odd.arrived[target.name], sight(target.alpha)
+            assert not seen.is_plain
+            np.testing.assert_allclose(there.mean(own(seen)), mine.mean(OBSERVATION), atol=1e-9)
+            np.testing.assert_allclose(there.mean(own(seen) + 0.01), mine.mean(OBSERVATION + 0.01 * seen.matrix[0]), atol=1e-9)
     for episode, _ in shown:
-        np.testing.assert_array_equal(episode.observations[0], OBSERVATION + offset(episode.alpha))
+        np.testing.assert_array_equal(episode.observations[0], own(sight(episode.alpha)))
     played = [np.allclose(episode.actions[0], policy.mean(episode.observations[0]), atol=1e-12) for episode, policy in shown]
     assert np.mean(played) > 1 / 4, "the policy that is shown is not the one that played by its mean action"

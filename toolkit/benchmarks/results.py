@@ -66,7 +66,8 @@ class Result:
         length = f" of {self.config['transfer']['xi']:g}" if self.report["step"] == "fixed" else ""
         bent = ", optimised path" if self.report["path"] == "optimised" else ""
         learner = ", search" if self.report.get("learner", "npg") == "search" else ""
-        return f"{self.report['step']} step{length}{bent}{learner}"
+        seen = ", retargeted joints" if self.report.get("joints", "measured") == "retargeted" else ""
+        return f"{self.report['step']} step{length}{bent}{learner}{seen}"
 
     @property
     def task(self) -> str:

@@ -299,7 +299,7 @@ def bench_walk(
     total = len(tree.edges) * (steps + 1)
     found = []
     with Progress("walk", quiet=json) as progress:
-        for waypoint in walk(policy, RolloutEngine(lab.merged), tree, steps, episodes, lab.offset):
+        for waypoint in walk(policy, RolloutEngine(lab.merged), tree, steps, episodes, lab.sight):
             found.append(waypoint)
             progress.show(f"{waypoint.start} to {waypoint.end}", f"{waypoint.successes} of {episodes}", len(found), total)
     if json:

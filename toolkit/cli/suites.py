@@ -18,6 +18,7 @@ class Entry:
     metric: Metric = "l1"
     step: Literal["adaptive", "fixed"] = "adaptive"
     path: Literal["straight", "bent", "optimised"] | None = None
+    joints: Literal["measured", "retargeted"] | None = None
     xi: float | None = None
     budget: int | None = None
     seed: int = 0
@@ -35,7 +36,7 @@ class Entry:
         """What `meta-evolve transfer` would play."""
         from toolkit.transfer.pipeline import Job, transfer_config
 
-        overrides = {"step": self.step, "path": self.path, "xi": self.xi, "path_budget": self.budget,
+        overrides = {"step": self.step, "path": self.path, "joints": self.joints, "xi": self.xi, "path_budget": self.budget,
                      "learner": self.learner, "exploration": self.exploration, "goal": self.goal, "enough": self.enough}
         config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)

@@ -225,6 +225,7 @@ def transfer(
     metric: Metric = "l1",
     step: Literal["adaptive", "fixed"] | None = None,
     path: Literal["straight", "bent", "optimised"] | None = None,
+    joints: Literal["measured", "retargeted"] | None = None,
     xi: float | None = None,
     budget: int | None = None,
     expert: str | None = None,
@@ -260,6 +261,8 @@ def transfer(
         path: straight to the meta robot (REvolveR); bent: turned on edges where all parameters at once lead through robots that
             can do less than both ends; or optimised: also where the expected return grows (HERD), at 72 episodes a step;
             default: the preset's, bent for quick and full.
+        joints: finger joints as the policy sees them: measured, 0 where a robot has none, as in the paper; or retargeted, where the
+            source's would be at that progress of closing; default: the preset's, retargeted for quick and full.
         xi: length of a fixed step, and of the shortest adaptive one; default: the paper's 0.03.
         budget: training episodes after which a path goes on to its end untrained; default: the preset's.
         expert: the source's policy: a shipped expert's name (as adroit-061_foam_brick, which grasps by a script and needs no
@@ -273,8 +276,8 @@ def transfer(
         episodes: of the final evaluation, per target, on F(beta) and on the unmodified robot; default: the preset's.
         randomise: JSON file of conditions, as stress names them, that every episode of the last hop, to the unmodified robot, draws from
             ranges, such as {"pose_noise": [0, 0.02], "delay": [0, 4]}; the goal is then to be reached under them.
-        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with path, expert and file of conditions where they
-            are not the usual.
+        run: run folder; default: logs/<source>-<task>-<kind>-<metric>-<preset>-<seed>, with path, joints, expert and file of conditions
+            where they are not the usual.
         resume: continue the run in that folder.
         cluster: Ray cluster that plays the episodes, with the same numbers: auto for the one that this machine belongs to, or HOST:PORT
             of its head; see docs/cluster.md.
@@ -289,12 +292,12 @@ def transfer(
     from toolkit.simulation.cluster import cluster_at
     from toolkit.transfer.pipeline import PRESETS, Job, Pipeline, summary, transfer_config
 
-    config = transfer_config(preset, kind, metric, seed, step=step, path=path, xi=xi, path_budget=budget, learner=learner,
+    config = transfer_config(preset, kind, metric, seed, step=step, path=path, joints=joints, xi=xi, path_budget=budget, learner=learner,
                              exploration=exploration)
     for name, value in (("episodes", episodes), ("at_once", at_once)):
         if value is not None and value < 1:
             raise ToolkitError(f"{name} is {value}; give at least 1")
-    bent = "" if path is None else f"{path}-"
+    bent = "".join(f"{option}-" for option in (path, joints) if option is not None)
     taught = "" if expert is None else f"-from-{Path(expert).name}"
     under = "" if randomise is None else f"-under-{randomise.stem}"
     folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}{under}"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.sight import Sight
 from toolkit.evolution import EvolutionTree
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.seeds import EVALUATION_SEEDS
@@ -31,7 +32,7 @@ class Waypoint:
 
 def walk(
     policy: GaussianPolicy, engine: RolloutEngine, tree: EvolutionTree, steps: int, episodes: int,
-    offset: Callable[[np.ndarray], np.ndarray],
+    sight: Callable[[np.ndarray], Sight],
 ) -> Iterator[Waypoint]:
     """Walk every edge of a tree with a policy that is not trained on the way: where does it break?
 
@@ -41,13 +42,13 @@ def walk(
         tree: whose edges to walk.
         steps: parts of each edge; its ends are measured too.
         episodes: per robot, on evaluation's seeds.
-        offset: alpha (D,) -> (n_obs,) by which that robot's observations are off for the policy, as a transfer has it.
+        sight: alpha (D,) -> how the policy sees that robot, as a transfer has it.
     """
     seeds = [EVALUATION_SEEDS + i for i in range(episodes)]
     for edge in tree.edges:
         start, end = tree.nodes[edge.start], tree.nodes[edge.end]
         for share in np.linspace(0.0, 1.0, steps + 1):
             alpha = start.alpha + share * (end.alpha - start.alpha)
-            played = engine.play(MeanActor(policy.offset_by(offset(alpha))), [alpha] * episodes, seeds)
+            played = engine.play(MeanActor(policy.through(sight(alpha))), [alpha] * episodes, seeds)
             yield Waypoint(start.name, end.name, float(share), episodes, sum(e.success for e in played),
                            sum(e.diverged for e in played))

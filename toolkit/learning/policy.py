@@ -18,6 +18,7 @@ import numpy as np
 import safetensors.numpy
 import torch
 
+from tasks.sight import Sight
 from toolkit.errors import ToolkitError
 from toolkit.io.atomic import write_atomically
 from toolkit.io.tensors import read_tensors
@@ -113,10 +114,14 @@ class _Network:
         self._overwrite(self._shift, shift, "shift")
         self._overwrite(self._scale, scale, "scale")
 
-    def offset_by(self, offset: np.ndarray) -> Self:
-        """A copy that takes an observation for what this one would see less ``offset`` (n_obs,), each in its entry's unit."""
-        twin = self.copy()
-        twin.set_normalisation(self._shift + offset, self._scale)
+    def through(self, sight: Sight) -> Self:
+        """A copy that does, on an observation, what this one does on ``sight`` of it: W D^-1 A D is its first layer, with D the scale.
+
+        The same up to what OBSERVATION_CLIP cuts, which is cut of what is there instead of what is seen.
+        """
+        twin, (W, _) = self.copy(), self._weights[0]
+        twin.set_normalisation(np.linalg.solve(sight.matrix, self._shift - sight.constant), self._scale)
+        twin._overwrite(twin._weights[0][0], W @ (sight.matrix * self._scale / self._scale[:, None]), "first W")
         return twin
 
     def layers(self) -> Layers:

@@ -420,6 +420,18 @@ class GraspLaw:
         self._curves = follow if len(joint) else None
         self._qpos_of = model.jnt_qposadr[model.dof_jntid]  # of a degree of freedom; the free object's are not asked for
 
+    def _interpolated(self, alpha: np.ndarray) -> np.ndarray:
+        """All that the law interpolates, in the order of its cuts."""
+        return np.minimum(np.maximum(alpha @ self._slope + self._offset, self._low), self._high)
+
+    def posture(self, alpha: np.ndarray) -> dict[str, float]:
+        """Angle [rad, m] of every driven joint by its slot's name, with the gripper closed on the reference box, at ``alpha`` (D,).
+
+        As it is meant there; the posture in which the finger meets the box, next to it, takes a model.
+        """
+        angles = self._interpolated(alpha)[self._cuts["angles"]] * (1.0 - self._space.theta(alpha)["freeze"][self.driven, 0])
+        return {self._space.matching.slots[slot].name: float(angle) for slot, angle in zip(self.driven, angles, strict=True)}
+
     def motors(self, alpha: np.ndarray, p: Patch, model: mujoco.MjModel, data: mujoco.MjData) -> Motors:
         """The finger actuators at ``alpha`` (D,), in the order of the driven slots.
 
@@ -427,7 +439,7 @@ class GraspLaw:
             p: what F writes there.
             model, data: patched; the configuration in ``data`` is overwritten.
         """
-        value = np.minimum(np.maximum(alpha @ self._slope + self._offset, self._low), self._high)
+        value = self._interpolated(alpha)
         angles, force, gap, height, tilt, off, error, beyond, slack, both, most, share, early, ramp, late, passive = (
             value[cut] for cut in self._cuts.values()
         )

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from grippers.gripper import COMMANDED_ROLES
 from robots.model_robot import ModelRobot
 from robots.robot import Robot
 from tasks.pick import START_ROTATION, PickTask
+from tasks.sight import Sight
 from tasks.task import ModelTask, Task
 from toolkit.errors import ToolkitError
 from toolkit.evolution import EvolutionTree, Kind, Metric, Terminal, evolution_tree
@@ -75,17 +77,28 @@ class Lab:
         points = [Terminal(name, self.space.beta(name)) for name in self.space.names]
         return points[0], points[1:]
 
-    def offset(self, alpha: np.ndarray) -> np.ndarray:
-        """(n_obs,) by which the observation of the robot ``alpha`` (D,) is off, each in its entry's unit, for a policy of the source.
+    def sight(self, alpha: np.ndarray, retargeted: bool = True) -> Sight:
+        """How a policy of the source sees the robot ``alpha`` (D,); an arm with a gripper is not seen as it is.
 
-        Fingers need not hold an object where the grasp frame's origin is: how much farther along the closing axis than the source's,
-        world axes at the start rotation. A policy that sees the object from there grasps it where these fingers do.
+        Fingers need not hold an object where the grasp frame's origin is, so that the object is seen from as much farther along the closing
+        axis as the source's fingers hold it (world axes at the start rotation): a policy grasps it where these fingers do. ``retargeted``,
+        finger joints are seen where the source's would be. A policy knows by them how far its hand has closed, and a gripper has few of a
+        hand's: each is seen as much farther as the source's goes farther when it closes on the reference box, in proportion to the
+        progress of closing. What an object, or a slip, does to the joints that are there is added to that and seen as it is.
         """
-        out = np.zeros(self.task.observation.size)
-        if isinstance(self.space, EvolutionSpace) and isinstance(self.source, Robot):
-            farther = self.space.theta(alpha)["grasp_offset"][0, 0] - self.source.gripper.grasp_offset
-            out[self.task.observation.slice("object_from_grasp")] = farther * START_ROTATION[:, 0]
-        return out
+        record, sight = self.task.observation, Sight.plain(self.task.observation.size)
+        if not isinstance(self.merged, MergedRobot) or not isinstance(self.source, Robot):
+            return sight
+        farther = self.merged.space.theta(alpha)["grasp_offset"][0, 0] - self.source.gripper.grasp_offset
+        sight.constant[record.slice("object_from_grasp")] = -farther * START_ROTATION[:, 0]
+        law = self.merged.law
+        if retargeted and law is not None:
+            progress = record.slice("closing_progress")
+            own, there = (law.posture(at) for at in (self.space.beta(self.source.name), alpha))
+            for role in COMMANDED_ROLES:
+                joint, farther = record.slice(f"finger/{role}"), own.get(role, 0.0) - there.get(role, 0.0)
+                sight.matrix[joint, progress] = sight.constant[joint] = 0.5 * farther  # progress goes from -1 to +1
+        return sight
 
     def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:
         """The evolution tree from the source to the targets."""

@@ -16,6 +16,7 @@ from threading import Event
 
 import numpy as np
 
+from tasks.sight import Sight
 from toolkit.evolution import MetaStep, Terminal
 from toolkit.evolution.bend import Bend
 from toolkit.learning.episode import Episode
@@ -50,7 +51,7 @@ class Transfer:
         report, on_batch: as for Sampler.
         explored: what the learner "search" explores, and how far.
         bends: targets behind an edge -> how it turns; the other edges are straight.
-        offset: as for Sampler; None: all robots hold where their grasp frames are.
+        sight: as for Sampler; None: all robots are seen as they are.
     """
 
     def __init__(
@@ -67,11 +68,11 @@ class Transfer:
         on_batch: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None] = lambda branch, episodes, noise, policies: None,
         explored: Explored | None = None,
         bends: Mapping[frozenset[str], Bend] | None = None,
-        offset: Callable[[np.ndarray], np.ndarray] | None = None,
+        sight: Callable[[np.ndarray], Sight] | None = None,
     ) -> None:
         self.config, self.run = config, run
         self.players = Players(engine, native)
-        self.sampler = Sampler(run, report, on_batch, offset or (lambda alpha: np.zeros(len(policy.observation_names))))
+        self.sampler = Sampler(run, report, on_batch, sight or (lambda alpha: Sight.plain(len(policy.observation_names))))
         self.way = Way(config, self.sampler, targets, bends or {})
         weights = WeightLearner(config, self.sampler, engine, source, policy.copy())
         search = None

@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from tasks.record import Record
+from tasks.sight import Sight
 from tasks.task import Task
 from toolkit.capability.audit import Audit, run_audit, verdict
 from toolkit.capability.ways import Way, gone_at, turn_in, ways_of
@@ -41,12 +42,12 @@ from toolkit.transfer.settings import Method, TransferConfig
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
-    "quick": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.9, "path_budget": 600, "check_episodes": 16,
-                           "goal_episodes": 20, "check_every": 3},
+    "quick": {"transfer": {"learner": "search", "path": "bent", "joints": "retargeted", "exploration": 0.15, "goal": 0.9,
+                           "path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40, "targets": ("kinova3", "iiwa")},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
-    "full": {"transfer": {"learner": "search", "path": "bent", "exploration": 0.15, "goal": 0.95, "check_every": 2,
-                          "path_budget": 15_000},
+    "full": {"transfer": {"learner": "search", "path": "bent", "joints": "retargeted", "exploration": 0.15, "goal": 0.95,
+                          "check_every": 2, "path_budget": 15_000},
              "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
              "evaluation_episodes": 200},
     # Every number from the paper's table.
@@ -111,6 +112,8 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
         values["learner"] = "npg"  # the search goes with adaptive steps
     if values.get("step") == "fixed" and overrides.get("path") is None:
         values["path"] = "straight"  # as the paper's
+    if values.get("step") == "fixed" and overrides.get("joints") is None:
+        values["joints"] = "measured"  # as well
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 
@@ -224,7 +227,7 @@ class Pipeline:
         source, targets = self.lab.terminals()
         native = {robot.name: (lambda robot=robot: self._native(robot, dump)) for robot in job.targets}
         self.transfer = Transfer(job.transfer, source, targets, policy, value, self.engine, native, self.run, self._seen, self._saw,
-                                 explored(job.task), self._bends(), self.lab.offset)
+                                 explored(job.task), self._bends(), self._sight)
         if resume:
             try:
                 self.transfer.restore()
@@ -358,7 +361,11 @@ class Pipeline:
 
     def _taken_to(self, robot: System, expert: GaussianPolicy) -> GaussianPolicy:
         """The expert as a policy of a target's own observations, as the transfer takes it there."""
-        return expert.offset_by(self.lab.offset(self.lab.space.beta(robot.name)))
+        return expert.through(self._sight(self.lab.space.beta(robot.name)))
+
+    def _sight(self, alpha: np.ndarray) -> Sight:
+        """How policies that are taken along see the robot ``alpha`` (D,)."""
+        return self.lab.sight(alpha, retargeted=self.job.transfer.joints == "retargeted")
 
     def _untrained(self, expert: GaussianPolicy) -> dict[str, Any]:
         """The expert on every unmodified target before any training: whether evolution is needed at all. A resumed run reads it."""
@@ -415,6 +422,7 @@ class Pipeline:
             "learner": self.job.transfer.learner,
             "enough": self.job.transfer.enough,
             "path": self.job.transfer.path,
+            "joints": self.job.transfer.joints if isinstance(self.lab.merged, MergedRobot) else "measured",
             "source": self.job.source.name,
             "task": self.job.task.name,
         }

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from tasks.sight import Sight
 from toolkit.learning.episode import Episode
 from toolkit.learning.policy import GaussianPolicy, MeanActor
 from toolkit.runs.run import Run
@@ -70,7 +71,7 @@ class Sampler:
         report: called with every entry of the metrics, for progress and pictures.
         on_batch: called with every batch that is played, before anything is learned from it: branch, episodes, whether the policy
             explored by noise on its actions, and the policy of each episode.
-        offset: alpha (D,) -> (n_obs,) by which that robot's observations are off as policies that are taken along see them; see `play`.
+        sight: alpha (D,) -> how policies that are taken along see that robot; see `play`.
 
     Attributes:
         earlier_seconds: wall time of the sittings before this one [s].
@@ -81,9 +82,9 @@ class Sampler:
         run: Run,
         report: Callable[[Entry, Branch], None],
         on_batch: Callable[[Branch, list[Episode], bool, list[GaussianPolicy]], None],
-        offset: Callable[[np.ndarray], np.ndarray],
+        sight: Callable[[np.ndarray], Sight],
     ) -> None:
-        self.run, self.report, self.on_batch, self._offset = run, report, on_batch, offset
+        self.run, self.report, self.on_batch, self._sight = run, report, on_batch, sight
         self._telling = Lock()
         self._started = time.perf_counter()
         self.earlier_seconds = 0.0
@@ -95,11 +96,12 @@ class Sampler:
     ) -> list[Episode]:
         """One episode of each policy, by its mean action or under its ``noise``, timed, and diverged ones counted.
 
-        A policy that is taken along sees every robot's object from where that robot holds it. On the robot it plays, and ``on_batch`` is
-        told of it, as the policy of that robot's own observations; the episodes that are returned hold what the policy given here sees.
+        A policy that is taken along sees every robot's object from where that robot holds it, and its fingers where the source's would
+        be. On the robot it plays, and ``on_batch`` is told of it, as the policy of that robot's own observations; the episodes that are
+        returned hold what the policy given here sees.
         """
-        offsets = [self._offset(alpha) for alpha in alphas]
-        own = self._own(policies, offsets)
+        sights = [self._sight(alpha) for alpha in alphas]
+        own = self._own(policies, sights)
         actors = [policy.act if noise else MeanActor(policy) for policy in own]
         began = time.perf_counter()
         batch = player.play(actors[0] if all(policy is own[0] for policy in own) else actors, alphas, seeds)
@@ -107,20 +109,20 @@ class Sampler:
         branch.ledger.cost.diverged += sum(episode.diverged for episode in batch)
         with self._telling:
             self.on_batch(branch, batch, noise, own)
-        return [_seen(episode, offset) for episode, offset in zip(batch, offsets, strict=True)]
+        return [_seen(episode, sight) for episode, sight in zip(batch, sights, strict=True)]
 
     def own(self, policy: GaussianPolicy, alpha: np.ndarray) -> GaussianPolicy:
         """A policy that is taken along, as one of the robot ``alpha``'s (D,) own observations."""
-        return self._own([policy], [self._offset(alpha)])[0]
+        return self._own([policy], [self._sight(alpha)])[0]
 
     @staticmethod
-    def _own(policies: Sequence[GaussianPolicy], offsets: Sequence[np.ndarray]) -> list[GaussianPolicy]:
+    def _own(policies: Sequence[GaussianPolicy], sights: Sequence[Sight]) -> list[GaussianPolicy]:
         """The same, one by one; what is the same policy on the same robot is one object."""
         made: dict[tuple[int, bytes], GaussianPolicy] = {}
-        keys = [(id(policy), offset.tobytes()) for policy, offset in zip(policies, offsets, strict=True)]
-        for key, policy, offset in zip(keys, policies, offsets, strict=True):
+        keys = [(id(policy), sight.key) for policy, sight in zip(policies, sights, strict=True)]
+        for key, policy, sight in zip(keys, policies, sights, strict=True):
             if key not in made:
-                made[key] = policy.offset_by(offset) if offset.any() else policy
+                made[key] = policy if sight.is_plain else policy.through(sight)
         return [made[key] for key in keys]
 
     def train(
@@ -187,8 +189,8 @@ class Sampler:
         return self.earlier_seconds + time.perf_counter() - self._started
 
 
-def _seen(episode: Episode, offset: np.ndarray) -> Episode:
-    """The episode as a policy saw it that takes a robot's observations for off by ``offset`` (n_obs,)."""
-    if not offset.any():
+def _seen(episode: Episode, sight: Sight) -> Episode:
+    """The episode as a policy saw it that sees the robot so."""
+    if sight.is_plain:
         return episode
-    return replace(episode, observations=episode.observations - offset, last_observation=episode.last_observation - offset)
+    return replace(episode, observations=sight(episode.observations), last_observation=sight(episode.last_observation))

@@ -13,6 +13,8 @@ Method = Kind | Literal["asking", "direct"]
 METHODS: tuple[Method, ...] = (*KINDS, "asking", "direct")
 Bending = Literal["straight", "bent", "optimised"]
 PATHS: tuple[Bending, ...] = ("straight", "bent", "optimised")
+Joints = Literal["measured", "retargeted"]
+JOINTS: tuple[Joints, ...] = ("measured", "retargeted")
 Learner = Literal["search", "npg"]
 LEARNERS: tuple[Learner, ...] = ("search", "npg")
 
@@ -37,6 +39,9 @@ class TransferConfig:
     path: Bending = "straight"
     """"straight": to the meta robot (REvolveR). "bent": turned, on edges where robots in between can do less than both
     ends when all parameters go at once; no longer in L1. "optimised": also where the expected return grows (HERD; Algorithm 1, line 4)."""
+    joints: Joints = "measured"
+    """Finger joints as a policy sees them: "measured": as they are, 0 where a robot has none (the paper's). "retargeted": where the
+    source's would be at that progress of closing."""
     pull: float = 1.0
     """Weight lambda of the meta robot in the direction of an optimised path (paper)."""
     demonstrations: int = 12
@@ -103,7 +108,7 @@ class TransferConfig:
                           ("jacobian_episodes", 2), ("demonstrations", 0), ("patience", 1), ("allowance", 1)):
             if getattr(self, name) < low:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)}; give at least {low}")
-        for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("kind", METHODS), ("metric", METRICS),
+        for name, known in (("step", ("fixed", "adaptive")), ("path", PATHS), ("joints", JOINTS), ("kind", METHODS), ("metric", METRICS),
                             ("learner", LEARNERS)):
             if getattr(self, name) not in known:
                 raise ToolkitError(f"transfer's {name} is {getattr(self, name)!r}; there are: {', '.join(known)}")
