@@ -1,5 +1,7 @@
 """A phase of training: turns, the best policy, other starts, and a budget that is spent."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy_transfer import NPG, SOURCE, TARGETS, TOLERANCE, Toy, config, error_at, expert, records, transfer_of, wanted
@@ -228,3 +230,46 @@ def test_what_was_chosen_by_starts_is_not_left_by_the_same_starts(tmp_path):
     assert branch.best_success == 0.0, "it was measured anew, and left with that"
     assert chosen == list(checks) and anew == [2 * 10**6 + 4 * 8 + i for i in range(8)]
     assert len(left) == 8 and not set(left) & {*chosen, *anew} and min(left) >= TRAINING_SEEDS
+
+
+@pytest.mark.parametrize("firm", [2 / 3, 0.9])
+def test_a_robot_that_is_trained_for_is_left_firmly(tmp_path, firm):
+    """The search goes on where the policy barely holds; looks ask no more than before."""
+    transfer = transfer_of(tmp_path / "run", config(learner="search", firm=firm), Toy())
+    transfer.meta_evolve()
+    left, looked = successes_before_moves(transfer)
+    assert left and looked and min(left + looked) >= 8 and min(looked) < 11
+    assert (min(left) >= 11) == (firm > 0.8), left
+
+
+def test_a_policy_that_cannot_hold_firmly_goes_on(tmp_path):
+    """In between a quarter of the starts is lost: two measurements in vain, and it leaves by the policy that holds."""
+    class Slippery(Toy):
+        def one(self, actor, alpha, seed):
+            episode = super().one(actor, alpha, seed)
+            end = any(np.allclose(alpha, terminal.alpha) for terminal in (SOURCE, *TARGETS))
+            return episode if end else replace(episode, success=episode.success and seed * 5 % 12 < 9)
+
+    transfer = transfer_of(tmp_path / "run", config(learner="search", firm=0.9, path_budget=1_000), Slippery())
+    transfer.meta_evolve()
+    left, _ = successes_before_moves(transfer)
+    assert 8 <= min(left) < 11, left
+    assert not records(transfer, "budget")
+
+
+def successes_before_moves(transfer):
+    """Of the policies that left a robot for which they had been trained, successes in their best check there, of up to 12, which ends when
+    what is asked is sure; of those that had not, in their last look."""
+    checked, seen, left, looked = {}, {}, [], []
+    for record in records(transfer):
+        path = record["path"]
+        if record["event"] == "check":
+            checked.setdefault(path, []).append(round(record["success"] * record["checked"]))
+        if record["event"] == "look":
+            seen[path] = round(record["success"] * record["checked"])
+        if record["event"] == "moved":
+            found = max(checked.pop(path, [])) if record["trained"] else seen.get(path)
+            checked.pop(path, None)
+            if found is not None:  # a branch that begins at a target knows by its parent's look
+                (left if record["trained"] else looked).append(found)
+    return left, looked

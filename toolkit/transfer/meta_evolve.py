@@ -169,7 +169,9 @@ class Transfer:
 
     def train_for_next(self, branch: Branch, robot: np.ndarray, step: MetaStep) -> None:
         """One update for the next robot (D,); go there once the policy holds on it, or farther on once it holds there before."""
-        outcome = self.training.train_to(branch, self.players.engine, robot, self.config.threshold, self.config.check_episodes,
+        trained = self.training.search is not None and branch.updates > 0
+        wanted = max(self.config.threshold, self.config.firm) if trained else self.config.threshold
+        outcome = self.training.train_to(branch, self.players.engine, robot, wanted, self.config.check_episodes,
                                          exploring=self.look_ahead.asks_noise(branch, robot))
         if outcome == "held":
             self.way.move(branch, robot, float(np.linalg.norm(robot - branch.alpha)), trained=True)

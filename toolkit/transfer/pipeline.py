@@ -42,11 +42,11 @@ from toolkit.transfer.settings import Method, TransferConfig
 
 PRESETS: dict[str, dict[str, Any]] = {
     # A small budget: the whole way in minutes, reported as it is.
-    "quick": {"transfer": {"learner": "search", "path": "bent", "joints": "retargeted", "exploration": 0.15, "goal": 0.9,
+    "quick": {"transfer": {"learner": "search", "path": "bent", "joints": "retargeted", "exploration": 0.15, "firm": 0.9, "goal": 0.9,
                            "path_budget": 600, "check_episodes": 16, "goal_episodes": 20, "check_every": 3},
               "npg": {"step_size": 0.01}, "evaluation_episodes": 40, "targets": ("kinova3", "iiwa")},
     # Larger batches and fewer conjugate gradients than the paper's: updates that fit other episodes than their own.
-    "full": {"transfer": {"learner": "search", "path": "bent", "joints": "retargeted", "exploration": 0.15, "goal": 0.95,
+    "full": {"transfer": {"learner": "search", "path": "bent", "joints": "retargeted", "exploration": 0.15, "firm": 0.9, "goal": 0.9,
                           "check_every": 2, "path_budget": 15_000},
              "npg": {"step_size": 0.02, "batch_size": 24, "cg_iterations": 3},
              "evaluation_episodes": 200},

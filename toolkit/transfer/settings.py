@@ -57,6 +57,9 @@ class TransferConfig:
     """Standard deviation of every action's noise when the transfer begins, which training then changes; None: the expert's own."""
     threshold: float = 2 / 3
     """Success rate of the mean action for moving on (paper: 66.7 %)."""
+    firm: float = 2 / 3
+    """Search: success to which a robot on the way is trained before it is left, if it has to be trained for; what holds barely has to be
+    trained again a little farther on, and behind every fork anew."""
     noisy_threshold: float = 1 / 2
     """NPG: success rate under the noise of training for moving on: what trains next learns from such successes. Search: measured success
     from which the weights have their turn on a robot before a nearer one is tried."""
@@ -95,8 +98,8 @@ class TransferConfig:
     """The search of an offset."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("threshold", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1), ("enough", 0, 1),
-                                ("shrink", 0, 1), ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):
+        for name, low, high in (("threshold", 0, 1), ("firm", 0, 1), ("noisy_threshold", 0, 1), ("signal", 0, 1), ("goal", 0, 1),
+                                ("enough", 0, 1), ("shrink", 0, 1), ("calm", 0, 1), ("least_noise", 0, 1), ("xi", 0, math.inf)):
             value = getattr(self, name)
             if not low < value <= high:
                 raise ToolkitError(f"transfer's {name} is {value}; give a number in ({low}, {high}]")

@@ -20,6 +20,9 @@ from toolkit.transfer.settings import TransferConfig
 NUMBED = 1 / 2
 """Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
 
+FIRMER = 2
+"""Measurements without a better success after which a robot on the way is left, where the policy holds, if not as firmly as asked."""
+
 Outcome = Literal["held", "kept", "spent", "training", "turned", "over", "stalled"]
 """Of an update: the policy has the success asked for; nothing brings more and it is enough; the path's budget is spent; none yet, nor
 when on the way a turn has ended before anything was learned, nor when all turns on a target are over; a nearer robot should be tried."""
@@ -51,7 +54,8 @@ class Training:
         success = 0.0
         if searching or branch.updates % self.config.check_every == 0:
             hasty = self.search is not None and branch.next_alpha is not None
-            floor = None if self.search is None or hasty else self.config.threshold  # at a target the better one is to be found
+            # At a target the better one is to be found, and on the way whether it is enough to go on.
+            floor = None if self.search is None or (hasty and wanted <= self.config.threshold) else self.config.threshold
             success = self.sampler.success(branch, player, alpha, wanted, episodes, hasty=hasty, floor=floor)
             held = success >= wanted
             asked = held and branch.next_alpha is None and branch.updates > 0
@@ -110,11 +114,15 @@ class Training:
         # Of equals the later one: it has learned from more. The search has not where it fails, NPG has on the window's nearer robots.
         if better or (success == branch.best_success and (success > 0 or branch.turn == "weights")):
             branch.best, branch.best_success = branch.policy.copy(), success
-        if branch.idle < self.config.patience:
+        on_the_way = branch.next_alpha is not None
+        enough = on_the_way and self.config.firm > self.config.threshold <= branch.best_success
+        if branch.idle < (FIRMER if enough else self.config.patience):
             return "training"
         branch.return_to_best()
+        if enough:
+            return "held"
         branch.turns += 1
-        on_the_way, over = branch.next_alpha is not None, branch.turns >= len(self._turns)
+        over = branch.turns >= len(self._turns)
         if on_the_way and (over or (self._nearer(branch) and branch.best_success < self.config.noisy_threshold)):
             return "stalled"
         branch.begin_turn(self._turns[branch.turns % len(self._turns)])
