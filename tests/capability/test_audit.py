@@ -135,7 +135,7 @@ def uneven(arms, monkeypatch):
     groups, way = arms.space.groups(), Way("adroit", "jaco", arms.space.beta("adroit"), arms.space.beta("jaco"))
     measured = []
 
-    def one(self, alpha, episodes=0):
+    def one(self, alpha, episodes=0, quick=False):
         gone = {name: np.abs(alpha - way.first)[groups[name]].sum() / np.abs(way.last - way.first)[groups[name]].sum()
                 for name in ("fingers axis", "thumb axis", "thumb com")}
         measured.append(alpha)

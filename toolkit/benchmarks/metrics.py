@@ -67,7 +67,7 @@ def capability_weights(merged: MergedRobot, alphas: Sequence[np.ndarray], progre
     scale = {"grip_n": 10.0, "balance": 0.5, "height_mm": 10.0, "opening_mm": 30.0}
 
     def able(alpha: np.ndarray) -> np.ndarray:
-        found = bench.measure(alpha, brief=True)
+        found = bench.measure(alpha, detail="closed")
         return np.array([getattr(found, name) / size for name, size in scale.items()])
 
     weights, total = np.zeros(merged.space.size), len(alphas) * merged.space.size

@@ -232,23 +232,24 @@ class Audit:
 
         It turns so that some digits of the grasp go first, or, where no such turn keeps the promise, as a search finds it.
         """
-        best = self._audited(way)
+        # Which is best is asked of what the promise is about, by one episode of a grasp; the best is then measured in full.
+        best = self._audited(way, quick=True)
         ends = {0.0: best.ends[0], 1.0: best.ends[1]}
         for turn in way.turns(self.merged.space):
             other = way.bent(self.merged.space, turn) if best.violations else None
             if other is None:
                 continue
             # What a script tells takes longest, and only ever adds to what is broken.
-            edge = self._audited(other, script=False, known=ends)
+            edge = self._audited(other, script=False, known=ends, quick=True)
             if self.episodes and edge.broken <= best.broken:
-                edge = self._audited(other, known=ends)
+                edge = self._audited(other, known=ends, quick=True)
             best = min(best, edge, key=lambda edge: edge.rank)
         # What is told by playing takes minutes to search.
         played = self._brief and any(v.quantity in TRIED for v in best.violations)
         sought = self._sought(way, best) if best.violations and self._tries and not played else None
         if sought is not None:  # it may have been found without the script; the others were measured with it
-            best = min(best, self._audited(sought, known=ends), key=lambda edge: edge.rank)
-        return self._explained(best)
+            best = min(best, self._audited(sought, known=ends, quick=True), key=lambda edge: edge.rank)
+        return self._explained(best if self._brief else self._audited(best.way))
 
     def _sought(self, way: Way, best: Edge) -> Way | None:
         """A search of the turn that keeps the promise better than ``best`` does; None: it found none.
@@ -273,11 +274,11 @@ class Audit:
                 if turned is not None:
                     ways.append(turned)
             worst = now.violations[0].share
-            probes = self._pool.map(self._one, [turned.at(worst) for turned in ways], repeat(self.episodes * script))
+            probes = self._pool.map(self._one, [turned.at(worst) for turned in ways], repeat(self.episodes * script), repeat(True))
             there = [broken(violations(ends | {worst: probe})) for probe in probes]
             if not there or min(there) >= broken([v for v in now.violations if v.share == worst]):
                 continue
-            edge = self._audited(ways[int(np.argmin(there))], script, ends)
+            edge = self._audited(ways[int(np.argmin(there))], script, ends, quick=True)
             if edge.rank < now.rank and edge.way.turn is not None:
                 now, found, shares = edge, edge.way, np.array([edge.way.turn[name] for name in groups])
             if not now.violations:
@@ -292,16 +293,21 @@ class Audit:
         """What the robots of a way can do, evenly spaced and where it looks worst, and what causes it."""
         return self._explained(self._audited(way))
 
-    def _audited(self, way: Way, script: bool = True, known: Mapping[float, Capability] | None = None) -> Edge:
-        """A way without causes; with the script or without, and what is ``known`` of its robots by share of the way, as of its ends."""
+    def _audited(
+        self, way: Way, script: bool = True, known: Mapping[float, Capability] | None = None, quick: bool = False,
+    ) -> Edge:
+        """A way without causes; with the script or without, and what is ``known`` of its robots by share of the way, as of its ends.
+
+        ``quick``: only what the promise is about, and one episode of each scripted grasp.
+        """
         shares = np.linspace(0.0, 1.0, self.count).tolist()
         tried = {float(s) for s in shares[:: self.scripted]} | {1.0} if script else set()
         robots = dict(known or {})
-        robots |= self._measured(way, [share for share in shares if share not in robots], tried)
+        robots |= self._measured(way, [share for share in shares if share not in robots], tried, quick)
         why = reserve(way, robots[0.0], robots[1.0], self.merged.task.object.width)
         if why is not None:
             return Edge(way, robots, [], why)
-        robots |= self._refined(way, robots)
+        robots |= self._refined(way, robots, quick)
         return Edge(way, dict(sorted(robots.items())), violations(robots))
 
     def _explained(self, edge: Edge) -> Edge:
@@ -313,14 +319,16 @@ class Audit:
         told = [replace(v, cause=self._cause_on(edge.way, v, found, edge.robots)) if worst[v.quantity] is v else v for v in found]
         return replace(edge, violations=told)
 
-    def _measured(self, way: Way, shares: Sequence[float], scripted: set[float]) -> dict[float, Capability]:
-        ask = lambda share: self._one(way.at(share), self.episodes if float(share) in scripted else 0)  # noqa: E731
+    def _measured(self, way: Way, shares: Sequence[float], scripted: set[float], quick: bool) -> dict[float, Capability]:
+        ask = lambda share: self._one(way.at(share), self.episodes if float(share) in scripted else 0, quick)  # noqa: E731
         return {float(share): robot for share, robot in zip(shares, self._pool.map(ask, shares), strict=True)}
 
-    def _one(self, alpha: np.ndarray, episodes: int = 0) -> Capability:
+    def _one(self, alpha: np.ndarray, episodes: int = 0, quick: bool = False) -> Capability:
         bench = self._idle.get()
         try:
-            return bench.measure(alpha, episodes, self._brief)
+            if self._brief:
+                return bench.measure(alpha, episodes, "closed")
+            return bench.measure(alpha, min(episodes, 1), "promised") if quick else bench.measure(alpha, episodes)
         finally:
             self._idle.put(bench)
 
@@ -332,7 +340,7 @@ class Audit:
         finally:
             self._idle.put(bench)
 
-    def _refined(self, way: Way, robots: dict[float, Capability]) -> dict[float, Capability]:
+    def _refined(self, way: Way, robots: dict[float, Capability], quick: bool) -> dict[float, Capability]:
         """Robots halfway between the worst one so far and its neighbours; the grip's lowest where nothing is wrong."""
         out: dict[float, Capability] = {}
         while len(out) < REFINED:
@@ -345,7 +353,7 @@ class Audit:
             order = sorted(known)
             place = order.index(worst)
             sides = [0.5 * (order[place] + order[other]) for other in (place - 1, place + 1) if 0 <= other < len(order)]
-            fresh = self._measured(way, sides, set(sides) if found and found[0].quantity in TRIED else set())
+            fresh = self._measured(way, sides, set(sides) if found and found[0].quantity in TRIED else set(), quick)
             out |= fresh
         return out
 

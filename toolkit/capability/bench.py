@@ -5,7 +5,7 @@ Everything is measured on F(alpha) in MuJoCo, arm and box clamped where it is th
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -90,6 +90,11 @@ class Capability:
         return out | {"grip_by_width": {f"{width:g}": round(float(force), 2) for width, force in self.grip_by_width.items()}}
 
 
+Detail = Literal["closed", "promised", "whole"]
+"""What is measured of a robot: what its closed gripper tells, a tenth of a second; also how long that takes to close, so that all that an
+audit promises is there; or everything, four times as long."""
+
+
 @dataclass(frozen=True)
 class Squeeze:
     """Forces on a box: their sum [N], that of each side across the jaws [N], where they act (3,) [m], their moment (3,) [N m]."""
@@ -132,11 +137,8 @@ class Bench:
         self._of_finger = np.array([name in fingers for name in names])
         self.width = merged.task.object.width
 
-    def measure(self, alpha: np.ndarray, episodes: int = 0, brief: bool = False) -> Capability:
-        """Everything about F(alpha), alpha (D,); the script plays ``episodes`` per grasp, 0: it is not tried.
-
-        ``brief``: only what a closed gripper tells, a tenth of a second.
-        """
+    def measure(self, alpha: np.ndarray, episodes: int = 0, detail: Detail = "whole") -> Capability:
+        """What F(alpha) can do, alpha (D,), in that detail; the script plays ``episodes`` per grasp, 0: it is not tried."""
         plant = merged_plant(self.merged, alpha, self._model, self._data)
         plant.begin(0)
         squeezed, closed = self.squeeze(plant, self.width)
@@ -144,15 +146,15 @@ class Bench:
         script = pick_script(self.merged.task.object)
         found = Capability(
             grip_n=squeezed.total,
-            grip_by_width={} if brief else {width: self.squeeze(plant, width)[0].total for width in WIDTHS},
+            grip_by_width={width: self.squeeze(plant, width)[0].total for width in WIDTHS} if detail == "whole" else {},
             balance=squeezed.balance,
             height_mm=1e3 * squeezed.middle[2],
             askew_nmm=1e3 * float(np.linalg.norm(squeezed.moment)),
             opening_mm=1e3 * self._opening(plant),
-            closing_steps=None if brief else self._closing(plant, squeezed.total),
+            closing_steps=None if detail == "closed" else self._closing(plant, squeezed.total),
             reach_mm=1e3 * reach,
             clearance_mm=1e3 * (self.merged.task.object.half_height - script.object_from_grasp[2] - reach),
-            **({} if brief else self._following(plant)),
+            **(self._following(plant) if detail == "whole" else {}),
         )
         if episodes == 0:
             return found
