@@ -139,14 +139,18 @@ def test_training_goes_on_farther_where_more_succeeds_than_here(tmp_path):
     assert not transfer.look_ahead.look_farther(branch, 0.25 * TARGETS[0].alpha, transfer.way.evolution_tree(branch))
 
 
-def test_where_half_of_a_look_succeeds_training_begins_at_once(tmp_path):
-    """Nearer robots that hold barely teach what the farther one does not need; and where less than half succeeds they are asked first."""
+@pytest.mark.parametrize("signal", [1 / 8, 0.6])
+def test_where_half_of_a_look_succeeds_training_begins_at_once(tmp_path, signal):
+    """Nearer robots that hold barely teach what the farther one does not need; and where less than half succeeds they are asked first.
+
+    Also where more is asked of a hope than half.
+    """
     begun = {}
     for seeds in (7, 5):
         toy = Toy()
         toy.one = lambda actor, alpha, seed, toy=toy, seeds=seeds: Toy.one(
             toy, actor, np.array([0.0 if alpha[0] < 0.4 or seed % 12 < seeds else 0.3, 0.0, 0.0]), 0)
-        transfer = transfer_of(tmp_path / f"{seeds}", config(learner="search"), toy, targets=TARGETS[:1])
+        transfer = transfer_of(tmp_path / f"{seeds}", config(learner="search", signal=signal), toy, targets=TARGETS[:1])
         (branch,) = transfer.pending
         transfer.look_ahead.look_ahead(branch, transfer.way.evolution_tree(branch))
         begun[seeds] = (branch.next_alpha, branch.alpha.copy(), [call["alphas"][0] for call in toy.calls])

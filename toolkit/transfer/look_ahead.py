@@ -65,7 +65,8 @@ class LookAhead:
                 if parted:
                     return parted
             if self._searching and success >= self.config.noisy_threshold:
-                branch.begin_phase(branch.hopes.pop())
+                branch.hopes = [hope for hope in branch.hopes if hope is not robot]
+                branch.begin_phase(robot)
                 return [branch]
         return [branch]
 
