@@ -31,8 +31,3 @@ class Sight:
     def is_plain(self) -> bool:
         """Whether nothing is seen otherwise than it is."""
         return not self.constant.any() and np.array_equal(self.matrix, np.eye(len(self.constant)))
-
-    @cached_property
-    def key(self) -> bytes:
-        """The same for the same map, and for no other."""
-        return self.matrix.tobytes() + self.constant.tobytes()

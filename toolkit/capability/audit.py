@@ -246,13 +246,13 @@ class Audit:
             best = min(best, edge, key=lambda edge: edge.rank)
         # What is told by playing takes minutes to search.
         played = self._brief and any(v.quantity in TRIED for v in best.violations)
-        sought = self._sought(way, best) if best.violations and self._tries and not played else None
+        sought = self._sought(way, best, ends) if best.violations and self._tries and not played else None
         if sought is not None:  # it may have been found without the script; the others were measured with it
             best = min(best, self._audited(sought, known=ends, quick=True), key=lambda edge: edge.rank)
         return self._explained(best if self._brief else self._audited(best.way))
 
-    def _sought(self, way: Way, best: Edge) -> Way | None:
-        """A search of the turn that keeps the promise better than ``best`` does; None: it found none.
+    def _sought(self, way: Way, best: Edge, ends: dict[float, Capability]) -> Way | None:
+        """A search of the turn that keeps the promise better than ``best`` does, whose ``ends`` these are; None: it found none.
 
         Where each group of parameters stands at the corner is what is searched, by an evolution strategy that keeps the better of two
         (Rechenberg 1973). A turn that is no better on the robot that is worst now is given up after that one.
@@ -263,7 +263,7 @@ class Audit:
         if best.way.turn is not None:
             gone = gone_at(best.way.turn, space)
             shares = np.array([gone[dimensions[0]] for dimensions in groups.values()])
-        now, found, ends = best, None, {0.0: best.ends[0], 1.0: best.ends[1]}
+        now, found = best, None
         for _ in range(0, self._tries, ROUND):
             ways = []
             for _ in range(ROUND):

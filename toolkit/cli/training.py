@@ -297,10 +297,10 @@ def transfer(
     for name, value in (("episodes", episodes), ("at_once", at_once)):
         if value is not None and value < 1:
             raise ToolkitError(f"{name} is {value}; give at least 1")
-    bent = "".join(f"{option}-" for option in (path, joints) if option is not None)
+    ways = "".join(f"{option}-" for option in (path, joints) if option is not None)
     taught = "" if expert is None else f"-from-{Path(expert).name}"
     under = "" if randomise is None else f"-under-{randomise.stem}"
-    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{bent}{preset}-{seed}{taught}{under}"
+    folder = run or Path("logs") / f"{source}-{task}-{kind}-{metric}-{ways}{preset}-{seed}{taught}{under}"
     if goals is None:
         usual = tuple(find_robot(name) for name in PRESETS[preset].get("targets", TARGETS))
         goals = tuple(family_of(what)[1:]) if isinstance(what, ModelTask) else usual

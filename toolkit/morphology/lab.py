@@ -1,6 +1,7 @@
 """Source and targets merged in one evolution space: what matching, trees, audits and transfers begin with."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -91,14 +92,22 @@ class Lab:
             return sight
         farther = self.merged.space.theta(alpha)["grasp_offset"][0, 0] - self.source.gripper.grasp_offset
         sight.constant[record.slice("object_from_grasp")] = -farther * START_ROTATION[:, 0]
-        law = self.merged.law
-        if retargeted and law is not None:
-            progress = record.slice("closing_progress")
-            own, there = (law.posture(at) for at in (self.space.beta(self.source.name), alpha))
+        if retargeted:
+            progress, there = record.slice("closing_progress"), self._posture(alpha)
             for role in COMMANDED_ROLES:
-                joint, farther = record.slice(f"finger/{role}"), own.get(role, 0.0) - there.get(role, 0.0)
+                joint, farther = record.slice(f"finger/{role}"), self._own_posture.get(role, 0.0) - there.get(role, 0.0)
                 sight.matrix[joint, progress] = sight.constant[joint] = 0.5 * farther  # progress goes from -1 to +1
         return sight
+
+    def _posture(self, alpha: np.ndarray) -> dict[str, float]:
+        """As GraspLaw's."""
+        assert isinstance(self.merged, MergedRobot) and self.merged.law is not None, "a merged arm has its law once it is made"
+        return self.merged.law.posture(alpha)
+
+    @cached_property
+    def _own_posture(self) -> dict[str, float]:
+        """The source's."""
+        return self._posture(self.space.beta(self.source.name))
 
     def tree(self, metric: Metric, kind: Kind) -> EvolutionTree:
         """The evolution tree from the source to the targets."""

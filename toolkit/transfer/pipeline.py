@@ -54,6 +54,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"transfer": {"step": "fixed", "path_budget": 60_000}, "npg": {}, "evaluation_episodes": 200},
 }
 """Preset name -> overrides of TransferConfig and NpgConfig, episodes of the final evaluation, and targets other than the usual three."""
+PAPERS = {"learner": "npg", "path": "straight", "joints": "measured"}
+"""The paper's own, which go with fixed steps in any preset, unless others are asked for: the search needs adaptive ones."""
 TURNS_TRIED = 80
 """Turns that are searched before a transfer for an edge that no digits' going first mends, a quarter of a second each."""
 AUDITED = 5
@@ -108,12 +110,8 @@ def transfer_config(preset: str, kind: Method, metric: Metric, seed: int, **over
         raise ToolkitError(f"preset {preset!r} is unknown; there are: {', '.join(PRESETS)}")
     values = PRESETS[preset]["transfer"] | {"kind": kind, "metric": metric, "seed": seed}
     values |= {name: value for name, value in overrides.items() if value is not None}
-    if values.get("step") == "fixed" and overrides.get("learner") is None:
-        values["learner"] = "npg"  # the search goes with adaptive steps
-    if values.get("step") == "fixed" and overrides.get("path") is None:
-        values["path"] = "straight"  # as the paper's
-    if values.get("step") == "fixed" and overrides.get("joints") is None:
-        values["joints"] = "measured"  # as well
+    if values.get("step") == "fixed":
+        values |= {name: value for name, value in PAPERS.items() if overrides.get(name) is None}
     return TransferConfig(npg=NpgConfig(**PRESETS[preset]["npg"]), **values)
 
 

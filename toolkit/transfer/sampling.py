@@ -100,7 +100,9 @@ class Sampler:
         be. On the robot it plays, and ``on_batch`` is told of it, as the policy of that robot's own observations; the episodes that are
         returned hold what the policy given here sees.
         """
-        sights = [self._sight(alpha) for alpha in alphas]
+        robots = {alpha.tobytes(): alpha for alpha in alphas}
+        seen = {key: self._sight(alpha) for key, alpha in robots.items()}
+        sights = [seen[alpha.tobytes()] for alpha in alphas]
         own = self._own(policies, sights)
         actors = [policy.act if noise else MeanActor(policy) for policy in own]
         began = time.perf_counter()
@@ -118,8 +120,8 @@ class Sampler:
     @staticmethod
     def _own(policies: Sequence[GaussianPolicy], sights: Sequence[Sight]) -> list[GaussianPolicy]:
         """The same, one by one; what is the same policy on the same robot is one object."""
-        made: dict[tuple[int, bytes], GaussianPolicy] = {}
-        keys = [(id(policy), sight.key) for policy, sight in zip(policies, sights, strict=True)]
+        made: dict[tuple[int, int], GaussianPolicy] = {}
+        keys = [(id(policy), id(sight)) for policy, sight in zip(policies, sights, strict=True)]
         for key, policy, sight in zip(keys, policies, sights, strict=True):
             if key not in made:
                 made[key] = policy if sight.is_plain else policy.through(sight)
