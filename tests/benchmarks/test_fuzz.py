@@ -36,6 +36,8 @@ def test_damaged_files_are_read_or_refused(name, tmp_path):
     sound, found = sample.file.read_bytes(), Counter()
     for number in range(FILES):
         outcome, said, seconds = outcome_of(sample, sound, np.random.default_rng((7, number)))
+        if seconds > 10.0:  # what hangs hangs again; what waited for the disk does not, as rerun's 290 MB of names for its first back trace
+            outcome, said, seconds = outcome_of(sample, sound, np.random.default_rng((7, number)))
         assert outcome in ("refused", "read"), f"file {number} of seed 7: {outcome}: {said}"
         assert seconds < 10.0 and (outcome == "read" or 20 < len(said) < 1000), f"file {number} of seed 7: {said}"
         found[outcome] += 1
