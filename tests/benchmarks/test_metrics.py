@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tasks import TASKS
+from tasks.sight import Sight
 from toolkit.benchmarks import metrics as sensitivity
 from toolkit.benchmarks.metrics import Judgement, capability_weights, compare_metrics, sensitivities, weighted
 from toolkit.evolution import Terminal, evolution_tree
@@ -31,13 +32,16 @@ def test_a_metric_that_knows_what_matters_foretells_failure():
     assert judged.rank_correlation(np.zeros(20), knows) == pytest.approx(1)
     assert abs(judged.rank_correlation(np.zeros(20), np.ones(20))) < 0.5
     assert judged.rank_correlation(np.zeros(20), 1 - knows) < 0.3
+    assert judged.ahead(np.zeros(20), knows) == 1 and judged.ahead(np.zeros(20), np.ones(20)) == 0
 
 
 def test_real_parameters_change_a_real_rollout(pair):
     """The first dimensions, measured twice: the same figures, finite, and not all of them zero."""
-    policy, _ = new_learner(TASKS["061_foam_brick"], 0)
-    first = list(islice(sensitivities(pair.merged, policy, pair.space.betas[0]), 3))
-    assert first == list(islice(sensitivities(pair.merged, policy, pair.space.betas[0]), 3))
+    task = TASKS["061_foam_brick"]
+    policy, _ = new_learner(task, 0)
+    plain = lambda alpha: Sight.plain(task.observation.size)  # noqa: E731
+    first = list(islice(sensitivities(pair.merged, policy, pair.space.betas[0], plain), 3))
+    assert first == list(islice(sensitivities(pair.merged, policy, pair.space.betas[0], plain), 3))
     assert np.isfinite(first).all() and min(first) >= 0 and max(first) > 0
 
 
@@ -54,19 +58,24 @@ def test_what_a_robot_can_do_hangs_on_its_fingers(pair):
 def test_metrics_are_compared_on_the_same_robots(monkeypatch):
     """Rollouts are replaced by a toy in which only the first dimension matters; the weighted metric must come out ahead."""
 
+    class Policy:
+        def through(self, sight):
+            assert sight == "as a transfer has it"
+
     class Engine:
         merged = MergedRobot.__new__(MergedRobot)  # is not asked for anything
 
         def play(self, actor, alphas, seeds):
             return [type("Played", (), {"success": alpha[0] < 0.2 + 0.1 * (seed % 7)})() for alpha, seed in zip(alphas, seeds, strict=True)]
 
-    monkeypatch.setattr(sensitivity, "sensitivities", lambda merged, policy, alpha: iter(np.r_[5.0, np.full(11, 0.01)]))
+    monkeypatch.setattr(sensitivity, "sensitivities", lambda merged, policy, alpha, sight: iter(np.r_[5.0, np.full(11, 0.01)]))
     monkeypatch.setattr(sensitivity, "capability_weights", lambda merged, alphas, progress: np.r_[3.0, np.full(11, 0.1)])
     source = Terminal("hand", np.zeros(12))
     targets = [Terminal(f"t{i}", np.random.default_rng(i).uniform(0.5, 1, 12)) for i in range(3)]
-    found = compare_metrics(Engine(), None, source, targets, 60, 7, 0)
+    found = compare_metrics(Engine(), Policy(), source, targets, lambda alpha: "as a transfer has it", 60, 7, 0)
     plain, heavy, root, able = found.metrics
     assert heavy.correlation > plain.correlation and heavy.correlation > 0.6
+    assert plain.ahead == 0 and heavy.ahead > 0.9
     assert np.mean(found.weights) == pytest.approx(1) and 0 < found.success < 1
     assert plain.ratio == pytest.approx(evolution_tree(source, targets).ratio)
     assert able.name == "L1 by capability" and able.correlation > plain.correlation

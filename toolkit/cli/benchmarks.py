@@ -365,6 +365,7 @@ def bench_metric(
     robots: int = 40,
     episodes: int = 3,
     expert: str | None = None,
+    joints: Literal["measured", "retargeted"] = "retargeted",
     seed: int = 0,
     json: bool = False,
 ) -> None:
@@ -377,6 +378,7 @@ def bench_metric(
         robots: random robots between source and targets on which the untrained expert is judged.
         episodes: per robot.
         expert: another policy of the source, as in transfer.
+        joints: how it sees the fingers of other robots, as in transfer.
         seed: of the robots.
         json: print one JSON object.
     """
@@ -390,12 +392,14 @@ def bench_metric(
     policy, _ = load_expert(source, lab.task, expert)
     with Progress("metric", quiet=json) as progress:
         measured = lambda done, total: progress.show("weights", f"{done} of {total} parameters", done, total)  # noqa: E731
-        found = compare_metrics(RolloutEngine(lab.merged), policy, *lab.terminals(), robots, episodes, seed, measured)
+        sight = lambda alpha: lab.sight(alpha, joints == "retargeted")  # noqa: E731
+        found = compare_metrics(RolloutEngine(lab.merged), policy, *lab.terminals(), sight, robots, episodes, seed, measured)
     if json:
         emit(asdict(found), True, "")
         return
-    table("What foretells the untrained expert's failure", ["metric", "rank correlation", "tree", "independent paths", "ratio"],
-          [[m.name, f"{m.correlation:.2f}", f"{m.length:.1f}", f"{m.independent_length:.1f}", f"{m.ratio:.2f}"]
+    table("What foretells the untrained expert's failure",
+          ["metric", "rank correlation", "better than L1 in", "tree", "independent paths", "ratio"],
+          [[m.name, f"{m.correlation:.2f}", f"{m.ahead:.0%}", f"{m.length:.1f}", f"{m.independent_length:.1f}", f"{m.ratio:.2f}"]
            for m in found.metrics])
     print(f"Mean success of the untrained expert on {robots} robots: {found.success:.0%}; "
           f"weights from {min(found.weights):.2g} to {max(found.weights):.2g} of their mean.")
