@@ -52,6 +52,20 @@ def test_failure_leaves_the_policy_alone(hopeless):
         np.testing.assert_array_equal(policy.parameters, expert()[0].parameters)
 
 
+@pytest.mark.parametrize(("measured", "shares"), [(0.6, [0.5, 0.25, 0.25]), (0.3, [1.0, 1.0, 1.0])])
+def test_noise_under_which_nothing_succeeds_is_halved_where_the_mean_action_does(tmp_path, monkeypatch, measured, shares):
+    """By NPG alone: it would else learn nothing for good. Where the mean action fails as well, more noise is what may help."""
+    transfer = transfer_of(tmp_path / "run", config(least_noise=0.25), Toy())
+    (branch,), training = transfer.pending, transfer.training
+    monkeypatch.setattr(training.weights, "improve", lambda *seen: 0.0)
+    monkeypatch.setattr(training.sampler, "success", lambda *seen, **more: measured)
+    seen = []
+    for _ in shares:
+        assert training.train_to(branch, Toy(), TARGETS[0].alpha, 0.9, 12) == "training"
+        seen.append(branch.noise)
+    assert seen == shares
+
+
 def test_the_weights_have_their_turn_where_the_search_brings_no_more(tmp_path):
     """A policy that does not look: no offset moves it, so the weights have to, and take it all the way."""
     settings = config(learner="search", patience=2, search=SearchConfig(batch_size=8), path_budget=5_000)

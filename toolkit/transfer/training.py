@@ -18,7 +18,7 @@ from toolkit.transfer.sampling import Player, Sampler
 from toolkit.transfer.settings import TransferConfig
 
 NUMBED = 1 / 2
-"""Factor on the noise in the weights' turn of a search where hardly an episode succeeds under it."""
+"""Factor on the noise where hardly an episode succeeds under it, in the weights' turn of a search or where the mean action holds."""
 
 FIRMER = 2
 """Measurements without a better success after which a robot on the way is left, where the policy holds, if not as firmly as asked."""
@@ -66,7 +66,10 @@ class Training:
             if held and (not exploring or self.sampler.success(branch, player, alpha, enough, episodes, exploring=True) >= enough):
                 return "held"
             if self.search is None:
-                _ = self.weights.calm(branch) if success >= wanted else self.weights.rouse(branch)
+                if success >= wanted:
+                    self.weights.calm(branch)
+                elif not branch.numb:
+                    self.weights.rouse(branch)
                 branch.best_success = success
                 if self._in_vain(branch):
                     return "turned"
@@ -86,9 +89,14 @@ class Training:
             return "spent"
         # The search's last turn may have begun just now.
         if self.search is None or branch.turn == "weights":
-            learned_from = self.weights.improve(branch, player, alpha)
-            if self.search is not None:
-                branch.numb = learned_from < self.config.signal and not self.weights.calm(branch, NUMBED)
+            starved = self.weights.improve(branch, player, alpha) < self.config.signal
+            if self.search is None:
+                # What the mean action does as it should is no place to look farther around it for.
+                branch.numb = starved and branch.best_success >= self.config.noisy_threshold
+                if branch.numb:
+                    self.weights.calm(branch, NUMBED)
+            else:
+                branch.numb = starved and not self.weights.calm(branch, NUMBED)
                 if branch.numb:
                     branch.idle = self.config.patience  # nothing to learn from, however little noise: the next measurement ends the turn
             return "training"
