@@ -98,8 +98,8 @@ class Branch:
         turn: what is learned in this phase: "offset", "gain" or "response" (by the search), or "weights" (by NPG).
         turns: that have ended in this phase.
         idle: measurements of this turn since a better success was seen, of the policy or of what was drawn around it.
-        numb: whether hardly an episode succeeded under noise in the weights' last update: by the search, the least noise; by NPG alone, any,
-            where the mean action holds.
+        numb: whether hardly an episode succeeded under noise in the weights' last update: by the search, under the least; by NPG alone,
+            under any, though the mean action holds.
         width: share of the declared deviation with which the search begins its next turn.
         features: (K, H + 1) that the search's responses are to; None: it has offsets alone.
         deviation: (d,) of the search's steps, each in its unit; None before a turn's first.
