@@ -49,6 +49,7 @@ CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # 
 HANDS = Entry(expert=f"adroit-{TASK}-wide-recordings", exploration=0.15, episodes=60, learner="npg")
 FOUND = replace(HANDS, exploration=None, learner="search", targets=TARGETS, episodes=200, budget=3_000)
 ASIDE = replace(FOUND, episodes=60)
+PLAIN = replace(ASIDE, learner="npg", exploration=HANDS.exploration, budget=None)
 FOUND_CAN = replace(FOUND, task=CAN, expert=f"adroit-{CAN}-wide-recordings", targets=JAWS, episodes=100)
 ALONE = replace(HANDS, kind="independent")
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
@@ -83,9 +84,10 @@ REAL_ROBOTS: dict[str, Entry] = {
     # Seeds from 3 on were played after the rule that asks was settled: no choice of it can have been made for them.
     **{f"found-independent-{seed}": replace(FOUND, seed=seed, kind="independent") for seed in range(6)},
     **{f"found-asking-{seed}": replace(FOUND, seed=seed, kind="asking") for seed in range(6)},
-    # The same by plain NPG on the weights.
-    "plain-tree-0": replace(ASIDE, learner="npg", exploration=HANDS.exploration, budget=None),
-    "plain-independent-0": replace(ASIDE, learner="npg", exploration=HANDS.exploration, budget=None, kind="independent"),
+    # The same by plain NPG on the weights; direct: with the demonstrations' pull (DAPG).
+    "plain-tree-0": PLAIN,
+    "plain-independent-0": replace(PLAIN, kind="independent"),
+    "plain-direct-0": replace(PLAIN, kind="direct", budget=1_000),
     # Two jaws that differ: a Robotiq 2F-85 and a 2F-140.
     **{f"found-jaws-{seed}": replace(FOUND, seed=seed, targets=JAWS) for seed in range(3)},
     **{f"found-jaws-independent-{seed}": replace(FOUND, seed=seed, targets=JAWS, kind="independent") for seed in range(3)},
