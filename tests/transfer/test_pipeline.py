@@ -156,7 +156,7 @@ def test_the_summary_is_the_report_in_words(played):
     untrained = report["untrained"][TARGET]
     assert f"| {TARGET} | {untrained['successes']} of 2 | {native['successes']} of {native['episodes']} |" in text
     was = "was" if untrained["success_rate"] < 0.8 else "was not"
-    assert f"Evolution {was} needed for {TARGET} ({untrained['successes']} of 2 untrained)." in text
+    assert f"Training {was} needed for {TARGET} ({untrained['successes']} of 2 untrained)." in text
     assert f"| total | {report['totals']['train_iterations']} | {report['totals']['sim_epochs']} |" in text
 
 

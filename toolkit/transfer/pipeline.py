@@ -444,10 +444,10 @@ def _rate(evaluation: dict[str, Any]) -> str:
 
 
 def _needed(untrained: dict[str, Any], enough: float) -> list[str]:
-    """A sentence per outcome: where the expert does without evolution, and where it does not."""
+    """A sentence per outcome: where the expert does untrained, and where it does not."""
     without = [name for name, found in untrained.items() if found["success_rate"] >= enough]
     needed = [name for name in untrained if name not in without]
-    return [f"Evolution {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
+    return [f"Training {verb} needed for {', '.join(f'{name} ({_rate(untrained[name])} untrained)' for name in names)}."
             for verb, names in (("was", needed), ("was not", without)) if names]
 
 
