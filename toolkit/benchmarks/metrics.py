@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.stats import spearmanr
+from scipy.stats import bootstrap, spearmanr
 
 from tasks.sight import Sight
 from toolkit.capability.bench import Bench
@@ -29,16 +29,15 @@ STEPS = 30
 RESAMPLED = 1000
 """Draws of the bootstrap by which two metrics are told apart."""
 
-Sights = Callable[[np.ndarray], Sight]
-"""alpha (D,) -> how the policy sees that robot, as a transfer has it."""
 
-
-def sensitivities(merged: MergedRobot, policy: GaussianPolicy, alpha: np.ndarray, sight: Sights, seeds: int = 1) -> Iterator[float]:
+def sensitivities(
+    merged: MergedRobot, policy: GaussianPolicy, alpha: np.ndarray, sight: Callable[[np.ndarray], Sight], seeds: int = 1
+) -> Iterator[float]:
     """For each dimension in turn, the root mean square change of the observations per alpha, in the policy's units.
 
     Args:
         alpha: (D,) where to measure; each dimension is moved towards the farther end of its range.
-        sight: by alpha.
+        sight: alpha (D,) -> how the policy sees that robot, as a transfer has it.
         seeds: starts to average over.
     """
     model, data = merged.new()
@@ -108,22 +107,23 @@ class Judgement:
 
     def rank_correlation(self, source: np.ndarray, weights: np.ndarray, order: int = 1) -> float:
         """Spearman's correlation of distance from the source with failure: 1 if the metric foretells it perfectly."""
-        away = np.linalg.norm((self.alphas - source) * weights, order, axis=1)
-        return float(spearmanr(away, -self.success).statistic)
+        return float(spearmanr(self._away(source, weights, order), -self.success).statistic)
 
     def ahead(self, source: np.ndarray, weights: np.ndarray) -> float:
         """Share of bootstrap samples of the robots (Efron 1979) on which weighted L1 foretells failure better than plain L1."""
-        rng, plain, better = np.random.default_rng(0), np.ones_like(weights), 0
-        for _ in range(RESAMPLED):
-            chosen = rng.integers(len(self.success), size=len(self.success))
-            drawn = Judgement(self.alphas[chosen], self.success[chosen])
-            better += drawn.rank_correlation(source, weights) > drawn.rank_correlation(source, plain)
-        return better / RESAMPLED
+        samples = (self._away(source, weights), self._away(source, np.ones_like(weights)), -self.success)
+        lead = lambda weighed, plain, failure: spearmanr(weighed, failure).statistic - spearmanr(plain, failure).statistic  # noqa: E731
+        drawn = bootstrap(samples, lead, paired=True, vectorized=False, n_resamples=RESAMPLED, method="percentile", rng=0)
+        return float(np.mean(drawn.bootstrap_distribution > 0.0))
+
+    def _away(self, source: np.ndarray, weights: np.ndarray, order: int = 1) -> np.ndarray:
+        """(N,) distances of the robots from the source."""
+        return np.linalg.norm((self.alphas - source) * weights, order, axis=1)
 
 
 def judge(
-    engine: RolloutEngine, policy: GaussianPolicy, source: Terminal, targets: Sequence[Terminal], sight: Sights, robots: int,
-    episodes: int, seed: int,
+    engine: RolloutEngine, policy: GaussianPolicy, source: Terminal, targets: Sequence[Terminal],
+    sight: Callable[[np.ndarray], Sight], robots: int, episodes: int, seed: int,
 ) -> Judgement:
     """Play the expert on random robots between source and targets.
 
@@ -174,8 +174,9 @@ class Comparison:
 
 
 def compare_metrics(
-    engine: RolloutEngine, policy: GaussianPolicy, source: Terminal, targets: Sequence[Terminal], sight: Sights, robots: int,
-    episodes: int, seed: int, progress: Callable[[int, int], None] = lambda done, total: None,
+    engine: RolloutEngine, policy: GaussianPolicy, source: Terminal, targets: Sequence[Terminal],
+    sight: Callable[[np.ndarray], Sight], robots: int, episodes: int, seed: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Comparison:
     """Measure weights, by rollouts at the source and by capability at every robot, judge the expert on random robots, and compare."""
     merged, weights = arms_of(engine), np.empty(source.alpha.size)
