@@ -91,7 +91,7 @@ class Training:
         if self.search is None or branch.turn == "weights":
             starved = self.weights.improve(branch, player, alpha) < self.config.signal
             if self.search is None:
-                # What the mean action does as it should is no place to look farther around it for.
+                # Where the mean action fails as well, more noise is what may bring a first success.
                 branch.numb = starved and branch.best_success >= self.config.noisy_threshold
                 if branch.numb:
                     self.weights.calm(branch, NUMBED)
