@@ -97,6 +97,40 @@ def test_the_search_trains_where_a_look_succeeded_sometimes(tmp_path):
     assert set(transfer.arrived) == {"left"} and not records(transfer, "budget")
 
 
+class Hidden(Toy):
+    """No mean action succeeds on any robot but the source; at the end of the way one that an offset of what is seen brings about does."""
+
+    def one(self, actor, alpha, seed):
+        share = float(alpha @ TARGETS[0].alpha / (TARGETS[0].alpha @ TARGETS[0].alpha))
+        return super().one(actor, SOURCE.alpha if share < 0.01 else np.array([0.2 if share > 0.99 else 9.0, 0.0, 0.0]), seed)
+
+
+def test_where_no_look_succeeds_the_search_draws_at_the_end_of_the_way_first(tmp_path):
+    toy = Hidden()
+    transfer = transfer_of(tmp_path / "run", config(learner="search"), toy, targets=TARGETS[:1])
+    transfer.meta_evolve()
+    assert all(r["success"] == 0 for r in records(transfer, "look")[:5])
+    assert toy.of(training=True) and set(transfer.arrived) == {"left"} and not records(transfer, "budget")
+    for call in toy.of(training=True):
+        np.testing.assert_allclose(call["alphas"], np.tile(TARGETS[0].alpha, (len(call["seeds"]), 1)), atol=1e-12)
+
+
+def test_what_a_batch_at_the_end_does_not_find_is_looked_for_where_a_look_succeeded(tmp_path):
+    """Half of the way allows some of the seeds, the end none: one batch there, then the hope."""
+    toy = Toy()
+    allows = lambda alpha, seed: alpha[0] < 0.41 and seed % 4 == 0  # noqa: E731
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, np.array([0.0 if allows(alpha, seed) else 9.0, 0, 0]), seed)
+    transfer = transfer_of(tmp_path / "run", config(learner="search", check_episodes=20), toy, targets=TARGETS[:1])
+    (branch,) = transfer.pending
+    transfer.advance(branch)
+    np.testing.assert_array_equal(branch.next_alpha, TARGETS[0].alpha)
+    assert [hope[0] / TARGETS[0].alpha[0] for hope in branch.hopes] == [0.5, 0.25, 0.125]
+    while np.array_equal(branch.next_alpha, TARGETS[0].alpha):
+        transfer.advance(branch)
+    assert len(toy.of(training=True)) == 1
+    np.testing.assert_array_equal(branch.next_alpha, 0.5 * TARGETS[0].alpha)
+
+
 class Hurdle(Toy):
     """All robots but the source want the same; up to four tenths of the way only a third of the seeds allow it."""
 

@@ -4,7 +4,21 @@ import itertools
 
 import numpy as np
 import pytest
-from toy_transfer import META, NPG, TARGETS, TOLERANCE, Killed, Toy, assert_same_end, config, easy_toy, error_at, records, transfer_of
+from toy_transfer import (
+    META,
+    NPG,
+    SOURCE,
+    TARGETS,
+    TOLERANCE,
+    Killed,
+    Toy,
+    assert_same_end,
+    config,
+    easy_toy,
+    error_at,
+    records,
+    transfer_of,
+)
 
 pytestmark = pytest.mark.usefixtures("unhurried")
 
@@ -97,10 +111,25 @@ def test_a_phase_without_success_gives_way_to_the_next_hope_then_to_half_the_way
     while branch.next_alpha is not None:
         seen.append(float(np.linalg.norm(branch.next_alpha) / np.linalg.norm(META)))
         assert branch.looked
-        transfer.stride.try_nearer(branch)
+        transfer.stride.try_nearer(branch, META)
     shortest = transfer.config.xi / np.linalg.norm(META)
     assert seen[:3] == pytest.approx([1.0, 0.5, 0.25]) and shortest <= seen[-1] < 2 * shortest
     assert not branch.looked, "the policy has changed since it looked"
+
+
+def test_on_an_optimised_path_the_search_tries_nearer_where_the_return_rises(tmp_path):
+    """Its leaps cost no Jacobian; what they do not reach is asked of one."""
+    toy = Toy()
+    transfer = transfer_of(tmp_path / "run", config(learner="search", path="optimised", jacobian_episodes=8), toy)
+    toy.one = lambda actor, alpha, seed: Toy.one(toy, actor, SOURCE.alpha if alpha[2] > 0 else META, seed)  # only the third rewards
+    (branch,) = transfer.pending
+    branch.looked = True
+    branch.begin_phase(META)
+    transfer.stride.try_nearer(branch, META)
+    nearer = branch.next_alpha
+    assert len(records(transfer, "steered")) == 1 and branch.ledger.cost.sim_epochs == 8
+    assert np.linalg.norm(nearer) <= np.linalg.norm(META) / 2 + 1e-12
+    assert nearer[2] / np.linalg.norm(nearer) > META[2] / np.linalg.norm(META) + 0.05, nearer
 
 
 @pytest.fixture(scope="module")

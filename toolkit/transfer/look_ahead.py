@@ -31,8 +31,9 @@ class LookAhead:
         """Go at once to the farthest robot on which the policy holds already, if there is any.
 
         First the unmodified robot of an only target, then the end of the way, its corner, the targets behind it, and robots in between.
-        For plain NPG these are only robots beyond the stride that `Stride.choose` tries anyway. The search remembers where the policy
-        succeeds at least sometimes: training there is cheaper than anywhere nearer; where it succeeds in half of a look, it begins at once.
+        For plain NPG these are only robots beyond the stride that `Stride.choose` tries anyway. The search begins at once where the policy
+        succeeds in half of a look; else at the end of the way, whatever it did there, and remembers where it succeeds at least sometimes,
+        for when it finds nothing at the end.
 
         Returns:
             the branch, or the branches into which it parts where some of its targets hold already.
@@ -68,6 +69,10 @@ class LookAhead:
                 branch.hopes = [hope for hope in branch.hopes if hope is not robot]
                 branch.begin_phase(robot)
                 return [branch]
+        if self._searching:
+            # One batch of it costs less than the rest of the way from any nearer robot, and finds what no mean action shows.
+            branch.hopes = [hope for hope in branch.hopes if hope is not end]
+            branch.begin_phase(end)
         return [branch]
 
     def look_farther(self, branch: Branch, robot: np.ndarray, step: MetaStep) -> bool:

@@ -182,7 +182,7 @@ class Transfer:
         if outcome == "turned":
             outcome = self.training.learn(branch, self.players.engine, robot, branch.best_success)
         if outcome == "stalled":
-            self.stride.try_nearer(branch)
+            self.stride.try_nearer(branch, self.way.ahead(branch, step))
 
     def split(self, branch: Branch, step: MetaStep) -> list[Branch]:
         """Lines 10 to 12: one branch per subtree; targets reached get their own."""

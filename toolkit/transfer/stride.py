@@ -77,13 +77,19 @@ class Stride:
             return True
         return False
 
-    def try_nearer(self, branch: Branch) -> None:
-        """After a phase without success train for the next hope, else for a robot half as far, and at the nearest look ahead anew."""
+    def try_nearer(self, branch: Branch, meta: np.ndarray) -> None:
+        """After a phase without success train for the next hope, else for a robot half as far, and at the nearest look ahead anew.
+
+        On an optimised path to ``meta`` (D,) the robot half as far is where the return rises.
+        """
         assert branch.next_alpha is not None
         if branch.hopes:
             branch.begin_phase(branch.hopes.pop(0))
         elif branch.can_halve(self.config.xi):
-            branch.begin_phase(branch.alpha + 0.5 * (branch.next_alpha - branch.alpha))
+            half = 0.5 * (branch.next_alpha - branch.alpha)
+            if self.config.path == "optimised":
+                half = float(np.linalg.norm(half)) * self._steer(branch, meta)
+            branch.begin_phase(np.clip(branch.alpha + half, 0.0, 1.0))
         else:
             branch.looked = False  # the policy has changed since
             branch.begin_phase()
