@@ -99,7 +99,7 @@ REAL_ROBOTS: dict[str, Entry] = {
     "found-can-0": FOUND_CAN,
     "found-can-independent-0": replace(FOUND_CAN, kind="independent"),
     # The arms that the others leave out.
-    **{f"found-grown-{count}": replace(ASIDE, targets=SIX[:count]) for count in (4, 5, 6)},
+    **{f"found-grown-{count}": replace(ASIDE, targets=SIX[:count]) for count in (2, 4, 5, 6)},
     **{f"found-{name}-0": replace(ASIDE, kind="independent", targets=(name,)) for name in SIX[3:]},
     # Twice as many targets.
     "six-tree-0": Entry(targets=SIX),
