@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
-from toolkit.runs.run import Run, read_report, read_tree, transfer_records
+from toolkit.runs.run import Run, paths_to, read_report, read_tree, transfer_records
 
 CONFIG = {"seed": 3, "targets": ("jaco", "iiwa"), "learner": {"step": 0.05, "layers": [32, 32]}}
 
@@ -179,3 +179,19 @@ def test_a_record_that_lacks_what_is_drawn(tmp_path, line):
     (run.path / "metrics.jsonl").write_text(line + "\n")
     with pytest.raises(ToolkitError, match="metrics.jsonl line 1"):
         transfer_records(run)
+
+
+@pytest.mark.parametrize(("target", "paths"), [
+    ("jaco", ["path 1.1", "path 1"]),  # not path 1.2, which has left from the same fork
+    ("iiwa", ["path 1.2.2", "path 1.2", "path 1"]),
+    ("panda", ["path 1.2.2.0"]),  # set out from the source
+    ("ur5e", ["path 1.2.3", "path 1.1", "path 1"]),  # from the Jaco
+    ("sawyer", []),
+])
+def test_the_way_to_a_target_is_of_the_paths_that_lead_there(target, paths):
+    routes = {
+        "path 1": ["adroit"], "path 1.1": ["adroit", "meta", "jaco"], "path 1.2": ["adroit", "meta"],
+        "path 1.2.1": ["adroit", "meta", "meta", "kinova3"], "path 1.2.2": ["adroit", "meta", "meta", "iiwa"],
+        "path 1.2.2.0": ["adroit", "panda"], "path 1.2.3": ["adroit", "meta", "jaco", "ur5e"],
+    }
+    assert paths_to(routes, target) == paths

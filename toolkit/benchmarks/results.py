@@ -21,7 +21,7 @@ from toolkit.evaluation.success import Evaluation
 from toolkit.evaluation.walk import Waypoint
 from toolkit.io.jsonfiles import require
 from toolkit.io.quoting import letters, markdown
-from toolkit.runs.run import Run, read_report, read_tree, transfer_records
+from toolkit.runs.run import Run, paths_to, read_report, read_tree, transfer_records
 
 COSTS = ("train_iterations", "sim_epochs", "check_episodes")
 COMPARED = ("train_iterations", "sim_epochs")
@@ -91,11 +91,8 @@ class Result:
         Returns:
             the count; None if the run does not go there.
         """
-        routes, counts = self.report["routes"], self.report[key]
-        ways = [route for route in routes.values() if route[-1] == target]
-        if not ways:
-            return None
-        return sum(counts[path] for path, route in routes.items() if route == ways[0][: len(route)])
+        paths = paths_to(self.report["routes"], target)
+        return sum(self.report[key][path] for path in paths) if paths else None
 
 
 def read_result(folder: Path) -> Result | None:

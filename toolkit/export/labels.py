@@ -11,7 +11,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluation.success import evaluate_native
 from toolkit.io.jsonfiles import read_object
 from toolkit.learning.policy import GaussianPolicy
-from toolkit.runs.run import read_nodes, read_success
+from toolkit.runs.run import paths_to, read_nodes, read_success
 
 LABEL_EPISODES = 40
 """Played for the label of a policy whose run has not evaluated it."""
@@ -47,8 +47,8 @@ def lineage_of(run: Path, target: str) -> Lineage:
     if alpha is None:
         raise ToolkitError(f"{run / 'tree.json'} has no node {target!r}; give the run that was trained for it")
     routes = report.get("routes", {})
-    route = next((names for names in routes.values() if names and names[-1] == target), [target])
-    walked = [path for path, names in routes.items() if names and names == route[: len(names)]]  # not those to other targets
+    walked = paths_to({path: names for path, names in routes.items() if names}, target)
+    route = routes[walked[0]] if walked else [target]
     updates, episodes = (sum(report.get(key, {}).get(path, 0) for path in walked) for key in ("train_iterations", "sim_epochs"))
     return Lineage(
         source=next((node["name"] for node in tree["nodes"] if node["kind"] == "source"), "unknown"), route=tuple(route),

@@ -335,6 +335,30 @@ def read_report(folder: Path, needs: Sequence[str] = tuple(_REPORT)) -> dict[str
     return report
 
 
+def paths_to(routes: Mapping[str, Sequence[str]], target: str) -> list[str]:
+    """The paths of a run that together lead from the source to a target, the last first; none: the run does not go there.
+
+    Args:
+        routes: path -> names of the robots at which it and those before it begin, and of the target if it has arrived there; see Ledger.
+        target: its name.
+    """
+    path = next((path for path, names in routes.items() if names[-1] == target), None)
+    if path is None:
+        return []
+    found, left = [path], list(routes[path][:-1])
+    while len(left) > 1:
+        arrived = left[-1] != "meta"  # a tree that asks has left from a target
+        if not arrived:
+            left.pop()
+        before = [other for other, names in routes.items() if list(names) == left]
+        before = [other for other in before if path.startswith(f"{other}.")] or before
+        found += before
+        path = before[0] if before else path
+        if arrived:
+            left.pop()
+    return found
+
+
 def read_audit(folder: Path) -> dict[str, Any] | None:
     """What the robots along a run's tree can do, as it was measured before the transfer; None: it was not.
 
