@@ -110,12 +110,16 @@ def broken(found: Sequence[Violation]) -> float:
 
 @dataclass(frozen=True)
 class Edge:
-    """An audited way: what its robots can do, by share of the way, and where that breaks the promise (worst first)."""
+    """An audited way: what its robots can do, by share of the way, and where that breaks the promise (worst first).
+
+    ``reserve``: why the promise is not meant on it.  ``whole``: all was measured, not only what turns are compared by.
+    """
 
     way: Way
     robots: dict[float, Capability]
     violations: list[Violation] = field(default_factory=list)
     reserve: str | None = None
+    whole: bool = True
 
     def to_json(self) -> dict[str, Any]:
         """As plain numbers."""
@@ -145,6 +149,11 @@ class Edge:
     def ends(self) -> tuple[Capability, Capability]:
         """What the two ends can do."""
         return self.robots[0.0], self.robots[1.0]
+
+
+def _ends(edge: Edge) -> dict[float, Capability]:
+    """What the two ends can do, by share of the way."""
+    return {0.0: edge.ends[0], 1.0: edge.ends[1]}
 
 
 def allowed(quantity: str, first: Capability, last: Capability) -> tuple[float, float] | None:
@@ -232,39 +241,45 @@ class Audit:
 
         It turns so that some digits of the grasp go first, or, where no such turn keeps the promise, as a search finds it.
         """
-        # Which is best is asked of what the promise is about, by one episode of a grasp; the best is then measured in full.
-        best = self._audited(way, quick=True)
-        ends = {0.0: best.ends[0], 1.0: best.ends[1]}
+        # Asked of what the promise is about, by one episode of a grasp; what seems to keep it has to keep it in full.
+        best = self._audited(way, quick=1)
+        ends = _ends(best)
+        best = self._sure(best)
         for turn in way.turns(self.merged.space):
             other = way.bent(self.merged.space, turn) if best.violations else None
             if other is None:
                 continue
             # What a script tells takes longest, and only ever adds to what is broken.
-            edge = self._audited(other, script=False, known=ends, quick=True)
+            edge = self._audited(other, script=False, known=ends, quick=1)
             if self.episodes and edge.broken <= best.broken:
-                edge = self._audited(other, known=ends, quick=True)
-            best = min(best, edge, key=lambda edge: edge.rank)
+                edge = self._audited(other, known=ends, quick=1)
+            if edge.rank < best.rank:
+                best = min(best, self._sure(edge), key=lambda edge: edge.rank)
         # What is told by playing takes minutes to search.
         played = self._brief and any(v.quantity in TRIED for v in best.violations)
-        sought = self._sought(way, best, ends) if best.violations and self._tries and not played else None
-        if sought is not None:  # it may have been found without the script; the others were measured with it
-            best = min(best, self._audited(sought, known=ends, quick=True), key=lambda edge: edge.rank)
-        return self._explained(best if self._brief else self._audited(best.way))
+        if best.violations and self._tries and not played:
+            best = self._sought(way, best, ends)
+        return self._explained(best if best.whole or self._brief else self._audited(best.way))
 
-    def _sought(self, way: Way, best: Edge, ends: dict[float, Capability]) -> Way | None:
-        """A search of the turn that keeps the promise better than ``best`` does, whose ``ends`` these are; None: it found none.
+    def _sure(self, edge: Edge) -> Edge:
+        """An edge on which a quick look found nothing broken, in full; any other as it is."""
+        return edge if edge.violations or edge.whole or self._brief else self._audited(edge.way)
+
+    def _sought(self, way: Way, best: Edge, ends: dict[float, Capability]) -> Edge:
+        """A search of a turn that keeps the promise better than ``best`` does, whose ``ends`` these are; ``best`` if it finds none.
 
         Where each group of parameters stands at the corner is what is searched, by an evolution strategy that keeps the better of two
-        (Rechenberg 1973). A turn that is no better on the robot that is worst now is given up after that one.
+        (Rechenberg 1973). A turn that is no better on the robot that is worst now is given up after that one. Scripted grasps are played
+        if they break the promise now, once each, and as often as in full from where that has missed something.
         """
-        space, generator, script = self.merged.space, np.random.default_rng(0), any(v.quantity in TRIED for v in best.violations)
+        space, generator, quick = self.merged.space, np.random.default_rng(0), 1
         groups = space.groups()
         shares = np.full(len(groups), 0.5)
         if best.way.turn is not None:
             gone = gone_at(best.way.turn, space)
             shares = np.array([gone[dimensions[0]] for dimensions in groups.values()])
-        now, found = best, None
         for _ in range(0, self._tries, ROUND):
+            script = any(v.quantity in TRIED for v in best.violations)
             ways = []
             for _ in range(ROUND):
                 moved = generator.random(len(groups)) < max(MOVED, FEWEST / len(groups))
@@ -273,17 +288,24 @@ class Audit:
                 turned = way.bent(space, {name: round(float(share), 2) for name, share in zip(groups, tried, strict=True)})
                 if turned is not None:
                     ways.append(turned)
-            worst = now.violations[0].share
-            probes = self._pool.map(self._one, [turned.at(worst) for turned in ways], repeat(self.episodes * script), repeat(True))
+            worst = best.violations[0].share
+            probes = self._pool.map(self._one, [turned.at(worst) for turned in ways], repeat(self.episodes * script), repeat(quick))
             there = [broken(violations(ends | {worst: probe})) for probe in probes]
-            if not there or min(there) >= broken([v for v in now.violations if v.share == worst]):
+            if not there or min(there) >= broken([v for v in best.violations if v.share == worst]):
                 continue
-            edge = self._audited(ways[int(np.argmin(there))], script, ends, quick=True)
-            if edge.rank < now.rank and edge.way.turn is not None:
-                now, found, shares = edge, edge.way, np.array([edge.way.turn[name] for name in groups])
-            if not now.violations:
+            turned = ways[int(np.argmin(there))]
+            edge = self._audited(turned, script, ends, quick)
+            if edge.rank < best.rank and not script:
+                edge = self._audited(turned, known=ends, quick=quick)
+            if not edge.violations:
+                edge = self._sure(edge)
+                if edge.violations and quick < self.episodes:
+                    quick, ends = self.episodes, _ends(edge)
+            if edge.rank < best.rank and edge.way.turn is not None:
+                best, shares = edge, np.array([edge.way.turn[name] for name in groups])
+            if not best.violations:
                 break
-        return found
+        return best
 
     def close(self) -> None:
         """Stop the workers."""
@@ -294,11 +316,11 @@ class Audit:
         return self._explained(self._audited(way))
 
     def _audited(
-        self, way: Way, script: bool = True, known: Mapping[float, Capability] | None = None, quick: bool = False,
+        self, way: Way, script: bool = True, known: Mapping[float, Capability] | None = None, quick: int | None = None,
     ) -> Edge:
         """A way without causes; with the script or without, and what is ``known`` of its robots by share of the way, as of its ends.
 
-        ``quick``: only what the promise is about, and one episode of each scripted grasp.
+        ``quick``: only what the promise is about, and at most so many episodes of each scripted grasp.
         """
         shares = np.linspace(0.0, 1.0, self.count).tolist()
         tried = {float(s) for s in shares[:: self.scripted]} | {1.0} if script else set()
@@ -306,9 +328,9 @@ class Audit:
         robots |= self._measured(way, [share for share in shares if share not in robots], tried, quick)
         why = reserve(way, robots[0.0], robots[1.0], self.merged.task.object.width)
         if why is not None:
-            return Edge(way, robots, [], why)
+            return Edge(way, robots, [], why, whole=quick is None)
         robots |= self._refined(way, robots, quick)
-        return Edge(way, dict(sorted(robots.items())), violations(robots))
+        return Edge(way, dict(sorted(robots.items())), violations(robots), whole=quick is None)
 
     def _explained(self, edge: Edge) -> Edge:
         """With the cause of the worst violation of every quantity, where causes are asked for."""
@@ -319,16 +341,16 @@ class Audit:
         told = [replace(v, cause=self._cause_on(edge.way, v, found, edge.robots)) if worst[v.quantity] is v else v for v in found]
         return replace(edge, violations=told)
 
-    def _measured(self, way: Way, shares: Sequence[float], scripted: set[float], quick: bool) -> dict[float, Capability]:
+    def _measured(self, way: Way, shares: Sequence[float], scripted: set[float], quick: int | None) -> dict[float, Capability]:
         ask = lambda share: self._one(way.at(share), self.episodes if float(share) in scripted else 0, quick)  # noqa: E731
         return {float(share): robot for share, robot in zip(shares, self._pool.map(ask, shares), strict=True)}
 
-    def _one(self, alpha: np.ndarray, episodes: int = 0, quick: bool = False) -> Capability:
+    def _one(self, alpha: np.ndarray, episodes: int = 0, quick: int | None = None) -> Capability:
         bench = self._idle.get()
         try:
             if self._brief:
                 return bench.measure(alpha, episodes, "closed")
-            return bench.measure(alpha, min(episodes, 1), "promised") if quick else bench.measure(alpha, episodes)
+            return bench.measure(alpha, episodes) if quick is None else bench.measure(alpha, min(episodes, quick), "promised")
         finally:
             self._idle.put(bench)
 
@@ -340,7 +362,7 @@ class Audit:
         finally:
             self._idle.put(bench)
 
-    def _refined(self, way: Way, robots: dict[float, Capability], quick: bool) -> dict[float, Capability]:
+    def _refined(self, way: Way, robots: dict[float, Capability], quick: int | None) -> dict[float, Capability]:
         """Robots halfway between the worst one so far and its neighbours; the grip's lowest where nothing is wrong."""
         out: dict[float, Capability] = {}
         while len(out) < REFINED:
