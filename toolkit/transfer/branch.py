@@ -156,7 +156,8 @@ class Branch:
         ]
 
     def begin_phase(self, next_alpha: np.ndarray | None = None) -> None:
-        """Forget the last phase; train for ``next_alpha`` (D,), or for nothing yet."""
+        """Forget the last phase; train for ``next_alpha`` (D,), which is then a hope no longer, or for nothing yet."""
+        self.hopes = [hope for hope in self.hopes if hope is not next_alpha]
         self.next_alpha, self.window, self.updates = next_alpha, 1.0, 0
         self.turns, self.numb, self.best_success, self.best = 0, False, 0.0, None
         self.begin_turn(TURNS[0])

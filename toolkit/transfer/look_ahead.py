@@ -66,12 +66,10 @@ class LookAhead:
                 if parted:
                     return parted
             if self._searching and success >= self.config.noisy_threshold:
-                branch.hopes = [hope for hope in branch.hopes if hope is not robot]
                 branch.begin_phase(robot)
                 return [branch]
         if self._searching:
             # One batch of it costs less than the rest of the way from any nearer robot, and finds what no mean action shows.
-            branch.hopes = [hope for hope in branch.hopes if hope is not end]
             branch.begin_phase(end)
         return [branch]
 
