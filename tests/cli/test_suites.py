@@ -54,3 +54,11 @@ def test_an_entry_plays_what_it_says_and_leaves_the_rest_to_the_preset():
     assert (config.kind, config.metric, config.seed, config.xi, config.path_budget, config.learner) == (
         "independent", "l2", 3, 0.7, 99, "npg")
     assert job.evaluation_episodes == 7 and config.exploration == plain.transfer.exploration and plain.transfer.seed == 0
+
+
+def test_a_paper_s_row_is_the_paper_s_whatever_the_preset():
+    papers = {name: entry.job("quick").transfer for suite in SUITES.values() for name, entry in suite.entries.items() if "paper" in name}
+    assert len(papers) == 4
+    for name, config in papers.items():
+        assert (config.step, config.xi, config.learner, config.path, config.joints) == ("fixed", 0.03, "npg", "straight", "measured"), name
+        assert (config.npg.step_size, config.npg.batch_size) == (1e-4, 12) and config.path_budget == 60_000, name

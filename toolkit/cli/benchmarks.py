@@ -46,7 +46,7 @@ def bench_transfer(
         suite: which; real-robots: the tree, independent paths and direct training to three commercial arms; hand: door, hammer and relocate
             from the free ADROIT to two, three and four fingers; ant: out of a maze, from one to six.
         only: names of the runs to play; default: all of the suite.
-        preset: of every run, as in transfer.
+        preset: of every run that does not name its own, as in transfer.
         out: folder of the run folders; the page is <out>.md; default: the suite's own in docs/.
         play: --no-play only rebuilds the page.
         cluster: Ray cluster that plays the episodes, as in transfer; runs, and the paths of their trees, are then played side by side.

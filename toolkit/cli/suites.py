@@ -32,15 +32,16 @@ class Entry:
     goal: float | None = None
     firm: float | None = None
     enough: float | None = None
+    preset: str | None = None
 
     def job(self, preset: str) -> "Job":
-        """What `meta-evolve transfer` would play."""
+        """What `meta-evolve transfer` would play by its own preset, else by this one."""
         from toolkit.transfer.pipeline import Job, transfer_config
 
         overrides = {"step": self.step, "path": self.path, "joints": self.joints, "xi": self.xi, "path_budget": self.budget,
                      "learner": self.learner, "exploration": self.exploration, "goal": self.goal, "firm": self.firm,
                      "enough": self.enough}
-        config = transfer_config(preset, self.kind, self.metric, self.seed, **overrides)
+        config = transfer_config(self.preset or preset, self.kind, self.metric, self.seed, **overrides)
         robots = tuple(find_robot(name) for name in self.targets)
         return Job(find_robot(self.source), robots, find_task(self.task), config, self.episodes, self.expert)
 
@@ -53,6 +54,7 @@ PLAIN = replace(ASIDE, learner="npg", exploration=HANDS.exploration, budget=None
 FOUND_CAN = replace(FOUND, task=CAN, expert=f"adroit-{CAN}-wide-recordings", targets=JAWS, episodes=100)
 ALONE = replace(HANDS, kind="independent")
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
+PAPERS = Entry(step="fixed", preset="paper")
 COARSE = 0.3
 """Fixed step: the paper's xi of 0.03 takes a thousand phases here, each of 16 checking episodes or more."""
 REAL_ROBOTS: dict[str, Entry] = {
@@ -115,9 +117,9 @@ REAL_ROBOTS: dict[str, Entry] = {
     "fixed-independent-0": Entry(step="fixed", kind="independent", xi=COARSE, budget=1_500),
     "wide-fixed-tree-0": Entry(task=WIDE, step="fixed", xi=COARSE, budget=1_500),
     "wide-fixed-independent-0": Entry(task=WIDE, step="fixed", kind="independent", xi=COARSE, budget=1_500),
-    "paper-tree-0": Entry(step="fixed"),
-    "paper-independent-0": Entry(step="fixed", kind="independent"),
-    "paper-hands-kinova3-0": Entry(step="fixed", kind="independent", targets=("kinova3",), expert=HANDS.expert, episodes=200),
+    "paper-tree-0": PAPERS,
+    "paper-independent-0": replace(PAPERS, kind="independent"),
+    "paper-hands-kinova3-0": replace(PAPERS, kind="independent", targets=("kinova3",), expert=HANDS.expert, episodes=200),
 }
 """Run -> what it plays; the short ones first."""
 
@@ -146,7 +148,7 @@ HAND_SUITE: dict[str, Entry] = {
     "door-optimised-0": replace(HAND, task="door", kind="independent", path="optimised"),
     "door-plain-0": replace(HAND, task="door", learner="npg"),
     "door-plain-independent-0": replace(HAND, task="door", learner="npg", kind="independent"),
-    "door-paper-0": replace(HAND, task="door", step="fixed"),
+    "door-paper-0": replace(PAPERS, task="door", source="adroit-free", targets=FINGERS, episodes=200),
 }
 """As REAL_ROBOTS, of the Hand Manipulation Suite."""
 
