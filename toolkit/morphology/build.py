@@ -410,6 +410,7 @@ class MergedRobot:
         motors = self.law.motors(alpha, p, model, data)
         model.actuator_forcerange[self._finger_actuator] = motors.limit[:, None] * BOTH_WAYS
         model.jnt_range[self._finger_joints] = motors.range
+        model.geom_pos[self._shape] = p.shape_pos + motors.slips
         model.actuator_gainprm[self._finger_actuator, 0] = motors.gain
         model.actuator_biasprm[self._finger_actuator, 1] = -motors.gain
         return motors.course

@@ -23,6 +23,9 @@ YIELDING = 30.0
 millimetre, weighs 700, one of 200 N/m less than a hinge that freezes."""
 SLIDE = 20.0
 """Radians that a metre of slide counts for."""
+SLIP = 0.012
+"""How far [m] a pad is moved along its link, at most: gap and tilt take the joints that could bring it to its height. With 30 mm an open
+gripper was 6 mm too narrow half way to the Sawyer."""
 BLUR = 1e-3
 """Difference of gaps [m] within which two shapes touch together."""
 BESIDE = 4.0
@@ -217,6 +220,38 @@ def tilt_of(
 
 
 @numba.njit(cache=True, nogil=True)
+def patch_of(
+    turns: np.ndarray, shifts: np.ndarray, mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray,
+    sizes: np.ndarray, boxes: np.ndarray, shares: np.ndarray, where: np.ndarray, push: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Middle (3,) [m] of what a finger touches the box with, as far in front as where it is nearest, and its half extents (3,) [m] along
+    the box's axes, 1 in front.
+
+    Args:
+        shares, where: from ``gap_of``.
+        others: as for it.
+    """
+    middle, extent, axes = np.zeros(3), np.zeros(3), np.empty((3, 3))
+    for n in range(len(mine)):
+        s, k = mine[n], link[mine[n]]
+        if shares[n] > 0.0:
+            x, y, z = _times(turns[k], centres[s, 0], centres[s, 1], centres[s, 2])
+            for i, at in enumerate((x, y, z)):
+                middle[i] += shares[n] * (at + shifts[k, i])
+            _product(turns[k], frames[s], axes)
+            for i in range(3):
+                if boxes[s]:
+                    reach = abs(axes[i, 0]) * sizes[s, 0] + abs(axes[i, 1]) * sizes[s, 1] + abs(axes[i, 2]) * sizes[s, 2]
+                else:
+                    reach = abs(axes[i, 2]) * sizes[s, 1] + sizes[s, 0]
+                extent[i] += shares[n] * reach
+    for i in range(3):
+        if push[i] != 0.0:
+            middle[i], extent[i] = where[i], 1.0
+    return middle, extent
+
+
+@numba.njit(cache=True, nogil=True)
 def levers(
     joints: np.ndarray, finger_of: np.ndarray, sliding: np.ndarray, axes: np.ndarray, anchors: np.ndarray, tips: np.ndarray,
     shifts: np.ndarray, turns: np.ndarray, points: np.ndarray, push: np.ndarray,
@@ -265,18 +300,21 @@ def meet(
     mine: np.ndarray, link: np.ndarray, centres: np.ndarray, frames: np.ndarray, sizes: np.ndarray, boxes: np.ndarray,
     active: np.ndarray, push: np.ndarray, origin: np.ndarray, half: np.ndarray, sideways: np.ndarray,
     pitching: np.ndarray, faces: np.ndarray, gap: float, height: float, minding: float, tilt: float,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """One finger near a guess: its gap, the height of its nearest point and the lean of its pads as asked; without pads, its pitch.
+    off: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """One finger near a guess: its gap, the height at which it presses and the lean of its pads as asked; without pads, its pitch.
 
     Args:
         guess: (n_all,) [rad, m].  stay: (n_all,) weights of the joints' departures from it, STAY for one that is free.
         sideways: (3,) the axis about which a pad pitches.  pitching: (n_all,) bool, joints that turn the pad.
-        gap: [m] to the box.  height: [m], world, of where it is nearest.  tilt: [rad] of its pads' faces.
-        minding: share of their weight that these two have.  faces: as for ``tilt_of``.
+        gap: [m] to the box.  height: [m], world, of its pressure.  tilt: [rad] of its pads' faces.
+        off: (3,) place of that, from the middle of what it touches with, in half extents of that (``patch_of``).
+        minding: share of their weight that height and tilt have.  faces: as for ``tilt_of``.
         others: as for ``place`` and ``gap_of``.
 
     Returns:
-        angles (n,) of its joints; where it is nearest (3,), on its last link, at the start posture; how much it touches, 0 to 1.
+        angles (n,) of its joints; where it presses (3,), on its last link, at the start posture; how much it touches, 0 to 1; by how
+        much (m, 3) [m] its pads are moved along their links, at the start posture, to come to the height that no joint brings them to.
     """
     count = len(chain)
     angles, change = guess.copy(), np.zeros(count)
@@ -293,6 +331,7 @@ def meet(
     for _ in range(ROUNDS):
         turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
         miss, where, shares, places = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
+        middle, extent = patch_of(turns, shifts, mine, link, centres, frames, sizes, boxes, shares, where, push)
         lower[:], upper[:] = 0.0, 0.0
         lean, part = tilt_of(turns, mine, link, frames, faces, shares, push, sideways)
         part *= minding * touches
@@ -302,6 +341,7 @@ def meet(
                 if shares[n] > 1e-6 and k <= link[mine[n]]:
                     along = now[k] if slide else np.cross(now[k], places[n] - at[k])
                     lower[0, k] -= touches * GAP * shares[n] * (along @ push) / scale[k]
+                    along = now[k] if slide else np.cross(now[k], middle - at[k])
                     lower[1, k] += touches * minding * HEIGHT * shares[n] * (along @ up) / scale[k]
             lower[2, k] = (1.0 - part) * PITCH * (now[k] @ sideways) if pitching[chain[k]] else 0.0
             lower[3, k] = 0.0 if slide else part * TILT * (now[k] @ sideways)
@@ -310,7 +350,7 @@ def meet(
             upper[4 + k] = weight[k] * change[k]
         upper[3] = part * TILT * (lean - tilt)
         if miss < FAR:
-            upper[0], upper[1] = touches * GAP * (miss - gap), touches * minding * HEIGHT * (where[2] - height)
+            upper[0], upper[1] = touches * GAP * (miss - gap), touches * minding * HEIGHT * (middle[2] + extent[2] * off[2] - height)
         step = np.linalg.solve(lower.T @ lower, -(lower.T @ upper))
         largest = 0.0
         for k in range(count):
@@ -320,5 +360,14 @@ def meet(
         if largest < ENOUGH:
             break
     turns, shifts, now, at = place(angles, chain, anchors, axes, sliding)
-    _, where, _, _ = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
-    return angles[chain], turns[count - 1].T @ (where - shifts[count - 1]), touches
+    miss, where, shares, _ = gap_of(turns, shifts, mine, link, centres, frames, sizes, boxes, active, push, origin, half)
+    middle, extent = patch_of(turns, shifts, mine, link, centres, frames, sizes, boxes, shares, where, push)
+    _, part = tilt_of(turns, mine, link, frames, faces, shares, push, sideways)
+    slip, slips = 0.0, np.zeros((len(mine), 3))
+    if miss < FAR:
+        slip = part * minding * touches * min(max(height - middle[2] - extent[2] * off[2], -SLIP), SLIP)
+        for n in range(len(mine)):
+            if faces[mine[n]] >= 0:
+                slips[n] = slip * (turns[link[mine[n]]].T @ up)
+    middle[2] += slip
+    return angles[chain], turns[count - 1].T @ (middle + extent * off - shifts[count - 1]), touches, slips

@@ -19,7 +19,7 @@ import numpy as np
 from grippers.gripper import DIGIT_OF, DIGITS, SLIDES, THUMB
 from tasks.pick import START_POSITION, START_ROTATION
 from toolkit.morphology.arithmetic import rotations
-from toolkit.morphology.contact import FROZEN, STAY, YIELDING, gap_of, held, levers, meet, place, tilt_of
+from toolkit.morphology.contact import FROZEN, STAY, YIELDING, gap_of, held, levers, meet, patch_of, place, tilt_of
 from toolkit.morphology.linkage import BOX_HALF_SIZE, BOX_WIDTH, SETTLED, closed_on_box
 from toolkit.morphology.patch import Patch
 from toolkit.morphology.space import EvolutionSpace
@@ -52,6 +52,8 @@ PADDED = 0.5
 """Part of pads in a finger's contact from which on their tilt is the finger's."""
 FEEBLE = 1e-9
 """Torque limit [N m] of an actuator that a robot lacks: MuJoCo refuses none."""
+LOCKED = 10.0
+"""Stiffness [N m/rad] of a freezing joint's lock that bears half of the joint's torque; the motor bears the rest."""
 WEAKEST = 1e-9
 """Stiffness [N m/rad] of an actuator below which it does nothing."""
 
@@ -114,12 +116,14 @@ class Motors:
         gain: (n,) stiffnesses [N m/rad, N/m].
         limit: (n,) largest torques [N m, N].
         range: (n, 2) limits of the joints [rad, m].
+        slips: (n_shapes, 3) [m] by which pads are moved along their links, at the start posture.
     """
 
     course: Course
     gain: np.ndarray
     limit: np.ndarray
     range: np.ndarray
+    slips: np.ndarray
 
 
 Write = Callable[[np.ndarray, mujoco.MjModel, mujoco.MjData], Patch]
@@ -203,10 +207,11 @@ class GraspLaw:
         frames = rotations(p.shape_quat[self._carrying])
         return centres, frames, p.shape_size[self._carrying], self._boxes, p.shape_activity[self._carrying]
 
-    def _nearest(self, p: Patch, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (n_fingers,) [m] of the fingers from the box; heights (n_fingers,) [m], world, of where they are nearest; where that
-        is on their last links (n_fingers, 3), at the start posture; and the tilts (n_fingers,) [rad] of their pads, NaN without."""
-        (gaps, heights, tilts), points = np.empty((3, len(self.fingers))), np.empty((len(self.fingers), 3))
+    def _nearest(self, p: Patch, angles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (n_fingers,) [m] of the fingers from the box; of ``points`` (n_fingers, 3) on their last links, at the start posture,
+        the heights (n_fingers,) [m], world, and the places (n_fingers, 3), in half extents of what they touch with, from its middle
+        (``patch_of``); and the tilts (n_fingers,) [rad] of their pads, NaN without."""
+        (gaps, heights, tilts), offs = np.empty((3, len(self.fingers))), np.empty((len(self.fingers), 3))
         solids = self._solids(p)
         for f, chain in enumerate(self._chain):
             turns, shifts, _, _ = place(angles, chain, p.anchor[self.driven], p.axis[self.driven], self._sliding)
@@ -214,25 +219,31 @@ class GraspLaw:
                 turns, shifts, self._own_shapes[f], self._link, *solids, self._push[f], START_POSITION, HALF)
             lean, part = tilt_of(turns, self._own_shapes[f], self._link, solids[1], self._faces, shares, self._push[f], SIDEWAYS)
             tilts[f] = lean if part > PADDED else np.nan
-            heights[f], points[f] = where[2], turns[-1].T @ (where - shifts[-1])
-        return gaps, heights, points, tilts
+            middle, extent = patch_of(  # type: ignore[call-arg]  # as above
+                turns, shifts, self._own_shapes[f], self._link, *solids[:4], shares, where, self._push[f])
+            pressed = turns[-1] @ points[f] + shifts[-1]
+            heights[f], offs[f] = pressed[2], (pressed - middle) / np.maximum(extent, 1e-9)
+        return gaps, heights, offs, tilts
 
     def _meeting(
-        self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray, tilt: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, p: Patch, angles: np.ndarray, gap: np.ndarray, height: np.ndarray, minding: np.ndarray, tilt: np.ndarray,
+        off: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The posture (n_driven,) next to ``angles`` in which the fingers are as far from the box, as high and as flat as asked; where they
-        are nearest (n_fingers, 3), on their last links; and how much of each finger is there to touch (n_fingers,), 0 to 1."""
+        press (n_fingers, 3), ``off`` as ``_nearest`` tells it, on their last links; and how much of each finger is there to touch
+        (n_fingers,), 0 to 1."""
         out, points, solids, touches = angles.copy(), p.anchor[self._tips], self._solids(p), np.zeros(len(self.fingers))
+        slips = np.zeros_like(p.shape_pos)
         anchors, axes, stay = p.anchor[self.driven], p.axis[self.driven], self._staying(p)
         for f, chain in enumerate(self._chain):
             if not self._presses[f]:
                 continue
-            out[chain], points[f], touches[f] = meet(  # type: ignore[call-arg]  # as above
+            out[chain], points[f], touches[f], slips[self._carrying[self._own_shapes[f]]] = meet(  # type: ignore[call-arg]  # as above
                 angles, stay, chain, anchors, axes, self._sliding, self._own_shapes[f], self._link,
                 *solids, self._push[f], START_POSITION, HALF, SIDEWAYS, self._pitching, self._faces,  # type: ignore[arg-type]
-                gap[f], height[f], minding[f], tilt[f],
+                gap[f], height[f], minding[f], tilt[f], off[f],
             )
-        return out, points, touches
+        return out, points, touches, slips
 
     def _staying(self, p: Patch) -> np.ndarray:
         """Weights (n_driven,) of the joints' departures from a guess: those that freeze move less, and a slide no farther than its lock
@@ -301,15 +312,15 @@ class GraspLaw:
         for robot, beta in enumerate(space.betas):
             p = write(beta, model, data)
             angles[robot] *= 1.0 - p.freeze[self.driven]  # what sags in a frozen joint is no posture
-            gaps[robot], heights[robot], nearest, tilts[robot] = self._nearest(p, angles[robot])
-            nearest = np.where(self._presses[:, None], nearest, p.anchor[self._tips])
-            off[robot] = (point[robot] - nearest) * (force[robot] > 0)[:, None]
+            gaps[robot], heights[robot], off[robot], tilts[robot] = self._nearest(p, angles[robot], point[robot])
+            off[robot, force[robot] == 0.0] = np.nan
+            point[robot] = np.where(self._presses[:, None], point[robot], p.anchor[self._tips])
             stiffness, limit = p.gain, self._own_limit[robot]
             wanted = stiffness * (self._own_closed[robot] - angles[robot])
             own = np.clip(wanted, -limit, limit)
             beyond = np.where(self._main & (stiffness > WEAKEST), wanted - own, 0.0)
             slack = np.where(self._main, limit - own, 0.0)
-            needed = self._needed(model, data, p, angles[robot], force[robot], nearest + off[robot])
+            needed = self._needed(model, data, p, angles[robot], force[robot], point[robot])
             motors[robot] = own
             way = self._own_closed[robot] - p.start_target
             presses = angles[robot] + own / np.maximum(stiffness, WEAKEST)
@@ -321,11 +332,12 @@ class GraspLaw:
             strong[robot] = stiffness > WEAKEST
             passive[robot] = ~strong[robot] & (p.freeze[self.driven] < 1.0)
             fulls.append(full)
-            rows[robot] = own - needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
+            rows[robot] = own - self._borne(p) * needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
         each = np.arange(len(self.fingers))
         # A finger's height and tilt are told by the robots whose finger presses; the others' are nobody's concern.
         pressing = force > 0
         tilts = self._known(np.where(pressing, tilts, np.nan), 0.0)
+        off = self._known(off.reshape(robots, -1), 0.0)
         heights = self._known(np.where(pressing, heights, np.nan), heights.mean(axis=0))
         shares, ramps = self._known(shares, 0.5), self._known(ramps, 0.0)
         filled = self._known(np.array(fulls), 1.0)
@@ -338,7 +350,7 @@ class GraspLaw:
         blocks = [
             ("angles", angles, self._finger_of), ("force", force, each), ("gap", gaps, each), ("height", heights, each),
             ("tilt", tilts, each),
-            ("off", off.reshape(robots, -1), np.repeat(each, 3)),
+            ("off", off, np.repeat(each, 3)),
             *((name, rows[:, k], self._finger_of) for k, name in enumerate(("error", "beyond", "slack", "both"))),
             ("limit", self._own_limit, self._finger_of), ("share", shares, each), ("early", early, self._finger_of),
             ("ramp", ramps, each), ("late", late, self._finger_of), ("passive", passive, self._finger_of),
@@ -386,6 +398,12 @@ class GraspLaw:
             point - p.anchor[self._tips], self._push,
         )
         return lever * force[self._finger_of] - (data.qfrc_spring + self._held(model, data))[self._dofs]
+
+    def _borne(self, p: Patch) -> np.ndarray:
+        """Shares (n_driven,) of the torques on joints that their motors bear, not the locks of those that freeze."""
+        out = 1.0 / (1.0 + p.lock[self.driven] / LOCKED)
+        out[self._slides] = 1.0
+        return out
 
     def _held(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """(nv,) torques of the soft constraints on fingers at rest."""
@@ -445,8 +463,9 @@ class GraspLaw:
         )
         minding = np.minimum(np.maximum(force / PRESSING, 0.0), 1.0)
         gap = gap - np.maximum(gap, 0.0) * minding
-        angles, nearest, touches = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding, tilt)
-        torque = self._needed(model, data, p, angles, touches * force, nearest + off.reshape(-1, 3)) + error
+        off = off.reshape(-1, 3)
+        angles, points, touches, slips = self._meeting(p, angles * (1.0 - p.freeze[self.driven]), gap, height, minding, tilt, off)
+        torque = self._borne(p) * self._needed(model, data, p, angles, touches * force, points) + error
         torque = np.minimum(np.maximum(torque, -self._strongest), self._strongest)
         apart = np.abs(self._all_betas - alpha[self._all_dimensions])
         nearest = np.maximum.reduceat(apart, self._first_dimension, axis=1).min(axis=0)
@@ -473,4 +492,5 @@ class GraspLaw:
             gain=stiffness,
             limit=np.maximum(np.where(self._main, np.abs(torque) + slack, holding), FEEBLE),
             range=own + away[:, None] * (wide - own),
+            slips=slips,
         )
