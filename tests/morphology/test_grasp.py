@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from robots import ROBOTS
 from tasks.pick import ACTION_SIZE, START_ROTATION
 from toolkit.capability.bench import Bench
+from toolkit.morphology.contact import SLIP
 from toolkit.morphology.linkage import BOX_WIDTH
 from toolkit.simulation.laws import merged_plant
 
@@ -121,3 +122,24 @@ def test_a_slide_is_asked_for_no_more_than_its_lock_lets_its_motor(merged, space
         way = data.qpos[law._qpos[slides]]
         lock = model.jnt_stiffness[law._joints[slides]]
         assert (np.abs(way) * lock < 1.5 * motors.limit[slides]).all(), (share, way, lock, motors.limit[slides])
+
+
+def test_a_grip_acts_between_where_it_does_at_the_ends(arms):
+    """Measured on MuJoCo's contacts, on the way to a jaw, where all of the thumb's joints freeze but two: while their motors were relieved
+    of what only the jaw's own locks bear, its pad leaned, and the grip was up to 4 mm lower than at either end."""
+    bench, (hand, jaw) = Bench(arms.merged), (arms.space.beta(name) for name in ("adroit", "kinova3"))
+    first, *between, last = (bench.measure(hand + share * (jaw - hand), 0, "closed") for share in (0.0, 0.25, 0.5, 0.75, 1.0))
+    for robot in between:
+        assert first.height_mm - 1.0 < robot.height_mm < last.height_mm + 1.0
+    assert between[1].askew_nmm < 0.6 * first.askew_nmm
+
+
+def test_a_robot_s_own_pads_are_not_moved(merged, space):
+    """They are only where no robot's own posture is: at a robot, every shape stands where its patch says."""
+    model, data = merged.new()
+    for beta in space.betas:
+        p = merged.write(beta, model, data)
+        assert np.abs(merged.law.motors(beta, p, model, data).slips).max() < 1e-7
+    p = merged.write(0.5 * (space.betas[0] + space.beta("iiwa")), model, data)
+    slips = np.linalg.norm(merged.law.motors(0.5 * (space.betas[0] + space.beta("iiwa")), p, model, data).slips, axis=1)
+    assert 1e-3 < slips.max() <= SLIP + 1e-9
