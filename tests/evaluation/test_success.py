@@ -72,7 +72,7 @@ def test_what_is_evaluated_is_what_was_given_not_what_had_its_name(task, idle):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("run", "target"), [("found-tree-0", "kinova3"), ("found-tree-1", "iiwa"), ("found-independent-2", "iiwa")])
+@pytest.mark.parametrize(("run", "target"), [("found-tree-0", "iiwa"), ("found-independent-0", "jaco"), ("found-independent-0", "kinova3")])
 def test_what_picks_on_robosuites_gripper_picks_on_its_merged_robot(run, target, merged, task):
     """Policies in docs/results, 200 of 200 on the unmodified robot: F(beta) is that robot, so they pick there as well."""
     path = Path(__file__).parents[2] / "docs" / "results" / run / f"{target}.policy.safetensors"

@@ -18,7 +18,7 @@ from toolkit.export import labels
 from toolkit.export.labels import LABEL_EPISODES, holds_of, label_of, lineage_of
 from toolkit.export.packing import _held
 
-RUN = Path(__file__).parents[2] / "docs" / "results" / "found-tree-0"
+RUN = Path(__file__).parents[2] / "docs" / "results" / "plain-tree-0"
 
 
 def test_ranges_go_into_a_bundle_only_from_a_test_of_its_own_policy(tmp_path):
