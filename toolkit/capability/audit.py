@@ -263,7 +263,7 @@ class Audit:
 
     def _sure(self, edge: Edge) -> Edge:
         """An edge on which a quick look found nothing broken, in full; any other as it is."""
-        return edge if edge.violations or edge.whole or self._brief else self._audited(edge.way)
+        return edge if edge.violations or self._brief else self._audited(edge.way)
 
     def _sought(self, way: Way, best: Edge, ends: dict[float, Capability]) -> Edge:
         """A search of a turn that keeps the promise better than ``best`` does, whose ``ends`` these are; ``best`` if it finds none.

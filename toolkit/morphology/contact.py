@@ -234,7 +234,7 @@ def patch_of(
     middle, extent, axes = np.zeros(3), np.zeros(3), np.empty((3, 3))
     for n in range(len(mine)):
         s, k = mine[n], link[mine[n]]
-        if shares[n] > 1e-6:
+        if shares[n] > 0.0:
             x, y, z = _times(turns[k], centres[s, 0], centres[s, 1], centres[s, 2])
             for i, at in enumerate((x, y, z)):
                 middle[i] += shares[n] * (at + shifts[k, i])

@@ -334,7 +334,7 @@ class GraspLaw:
             fulls.append(full)
             rows[robot] = own - self._borne(p) * needed, beyond / np.maximum(stiffness, WEAKEST), slack, np.minimum(beyond, slack)
         each = np.arange(len(self.fingers))
-        # A finger's height and tilt are told by the robots whose finger presses; the others' are nobody's concern.
+        # Where a finger presses, and its tilt, are told by the robots whose finger does; the others' are nobody's concern.
         pressing = force > 0
         tilts = self._known(np.where(pressing, tilts, np.nan), 0.0)
         off = self._known(off.reshape(robots, -1), 0.0)
