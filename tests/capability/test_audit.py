@@ -207,6 +207,28 @@ def test_a_search_goes_on_where_one_episode_has_missed_something(uneven, monkeyp
     assert not edge.violations and edge.whole, [v.sentence() for v in edge.violations]
 
 
+def test_what_no_turn_at_random_mends_is_mended_group_by_group(arms, monkeypatch):
+    """Eight groups have to go first, each by as much as it takes off the grip: turns at random move others as well, and do harm."""
+    groups, way = arms.space.groups(), Way("adroit", "kinova3", arms.space.beta("adroit"), arms.space.beta("kinova3"))
+    moving = [name for name, dimensions in groups.items() if np.abs(way.last - way.first)[dimensions].sum() > 0.0]
+
+    def one(self, alpha, episodes=0, quick=None):
+        gone = np.array([np.abs(alpha - way.first)[groups[name]].sum() / np.abs(way.last - way.first)[groups[name]].sum() for name in moving])
+        middle = np.median(gone)
+        ahead = gone - middle
+        lacking = np.clip(0.25 - ahead[:8], 0.0, 1.0).sum() + 4.0 * np.clip(ahead[8:] - 0.05, 0.0, 1.0).sum()
+        return robot(grip_n=20.0 - 8.0 * lacking * (0.2 < middle < 0.8), **({"script": 1.0, "tolerance": 1.0} if episodes else {}))
+
+    monkeypatch.setattr(Audit, "_one", one)
+    steered = Audit._steered
+    monkeypatch.setattr(Audit, "_steered", lambda self, way, best, ends: best)
+    random = best_of(arms.merged, way, 160)
+    monkeypatch.setattr(Audit, "_steered", steered)
+    edge = best_of(arms.merged, way, 160)
+    assert random.violations and not edge.violations and edge.whole, [v.sentence() for v in edge.violations]
+    assert best_of(arms.merged, way, 160).way.turn == edge.way.turn, "the same on every machine"
+
+
 def test_an_audit_of_less_than_no_turn_is_refused(arms):
     with pytest.raises(ToolkitError, match="0 turns or more; got -1"):
         Audit(arms.merged, tries=-1)

@@ -44,7 +44,8 @@ def audit(
         episodes: of the script, per grasp, on every fourth robot; 0: no script.
         bend: where a straight edge leads through worse robots, let it turn as a transfer does, so that some digits go first, or as a
             search finds it; it is no longer in L1. --no-bend audits straight edges only.
-        tries: turns that are searched for an edge that no digits' going first mends, a second each; 0: none.
+        tries: turns that are searched at random for an edge that no digits' going first mends, a second each, and then three times as
+            many group by group of its parameters; 0: none.
         causes: ask what is to blame for the worst of each kind.
         plot: draw the audit into this file (PNG, PDF or SVG).
         json: print one JSON object.
