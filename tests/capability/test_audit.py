@@ -213,7 +213,8 @@ def test_what_no_turn_at_random_mends_is_mended_group_by_group(arms, monkeypatch
     moving = [name for name, dimensions in groups.items() if np.abs(way.last - way.first)[dimensions].sum() > 0.0]
 
     def one(self, alpha, episodes=0, quick=None):
-        gone = np.array([np.abs(alpha - way.first)[groups[name]].sum() / np.abs(way.last - way.first)[groups[name]].sum() for name in moving])
+        gone = np.array([np.abs(alpha - way.first)[groups[name]].sum() / np.abs(way.last - way.first)[groups[name]].sum()
+                         for name in moving])
         middle = np.median(gone)
         ahead = gone - middle
         lacking = np.clip(0.25 - ahead[:8], 0.0, 1.0).sum() + 4.0 * np.clip(ahead[8:] - 0.05, 0.0, 1.0).sum()
