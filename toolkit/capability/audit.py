@@ -85,13 +85,17 @@ class Violation:
     cause: str | None = None
 
     @property
-    def excess(self) -> float:
-        """How far the value lies outside, as a share of the nearer limit; what has no value is as far out as can be."""
+    def beyond(self) -> float:
+        """How far the value lies outside, in its unit; what has no value is as far out as can be."""
         low, high = self.allowed
-        if not np.isfinite(self.value):
-            return float("inf")
+        return max(low - self.value, self.value - high) if np.isfinite(self.value) else float("inf")
+
+    @property
+    def excess(self) -> float:
+        """The same as a share of the nearer limit."""
+        low, high = self.allowed
         limit, least = abs(low if self.value < low else high), LEAST_SHARE if self.quantity in SHARES else 1.0
-        return max(low - self.value, self.value - high) / max(limit, least)
+        return self.beyond / max(limit, least) if np.isfinite(self.value) else float("inf")
 
     def to_json(self) -> dict[str, Any]:
         """As plain numbers; an open limit is null."""
@@ -109,9 +113,7 @@ class Violation:
 
 def outside(found: Sequence[Violation]) -> float:
     """How far outside of what is allowed it all is, in sum; unlike ``broken``, every bit less of it counts."""
-    far = [abs(v.value - min(max(v.value, v.allowed[0]), v.allowed[1])) / HEIGHT_MM if v.quantity == "height_mm" else v.excess / ALIKE
-           for v in found]
-    return sum(min(one, LOST) for one in far)
+    return sum(min(v.beyond / HEIGHT_MM if v.quantity == "height_mm" else v.excess / ALIKE, LOST) for v in found)
 
 
 def broken(found: Sequence[Violation]) -> float:
@@ -298,7 +300,7 @@ class Audit:
                 moved = generator.random(len(groups)) < max(MOVED, FEWEST / len(groups))
                 steps = SPREAD * generator.standard_normal(len(groups))
                 tried = np.clip(shares + np.where(moved, steps, 0.0), 0.0, 1.0)
-                turned = way.bent(space, {name: round(float(share), 2) for name, share in zip(groups, tried, strict=True)})
+                turned = self._turned(way, tried)
                 if turned is not None:
                     ways.append(turned)
             worst = best.violations[0].share
@@ -307,18 +309,32 @@ class Audit:
             if not there or min(there) >= broken([v for v in best.violations if v.share == worst]):
                 continue
             turned = ways[int(np.argmin(there))]
-            edge = self._audited(turned, script, ends, quick)
-            if edge.rank < best.rank and not script:
-                edge = self._audited(turned, known=ends, quick=quick)
-            if not edge.violations:
-                edge = self._sure(edge)
-                if edge.violations and quick < self.episodes:
-                    quick, ends = self.episodes, _ends(edge)
+            edge, ends, quick = self._against(best, turned, ends, quick)
             if edge.rank < best.rank and edge.way.turn is not None:
                 best, shares = edge, np.array([edge.way.turn[name] for name in groups])
             if not best.violations:
                 break
         return best
+
+    def _against(
+        self, best: Edge, turned: Way, ends: dict[float, Capability], quick: int
+    ) -> tuple[Edge, dict[float, Capability], int]:
+        """A turn that may be better than ``best``, audited as far as that takes; and what the search goes on with as ``ends`` and ``quick``:
+        those of the full audit from where a quick look has missed something."""
+        script = any(v.quantity in TRIED for v in best.violations)
+        edge = self._audited(turned, script, ends, quick)
+        if edge.rank < best.rank and not script:
+            edge = self._audited(turned, known=ends, quick=quick)
+        if not edge.violations:
+            edge = self._sure(edge)
+            if edge.violations and quick < self.episodes:
+                return edge, _ends(edge), self.episodes
+        return edge, ends, quick
+
+    def _turned(self, way: Way, shares: np.ndarray) -> Way | None:
+        """A way that turns where each group of parameters has gone its share (n_groups,); None: as ``Way.bent``."""
+        space = self.merged.space
+        return way.bent(space, {name: round(float(share), 2) for name, share in zip(space.groups(), shares, strict=True)})
 
     def _gone(self, way: Way) -> np.ndarray:
         """(n_groups,) share of its way that each group of parameters has gone where a way turns."""
@@ -332,12 +348,14 @@ class Audit:
         helps is taken together, the most telling first, as long as it still helps. Then the whole way is audited, and the worst of it
         measured as well from then on. A turn is given up at the robot with which it is no better; scripted grasps are played last.
         """
-        space, quick, left, aside = self.merged.space, 1, 3 * self._tries, ASIDE
-        names, shares, now = list(space.groups()), self._gone(best.way), best
+        quick, left, aside = 1, 3 * self._tries, ASIDE
+        shares, now = self._gone(best.way), best
         probes = dict.fromkeys(np.linspace(0.0, 1.0, PROBES + 2)[1:-1].tolist(), False)
 
-        def turned(places: np.ndarray) -> Way | None:
-            return way.bent(space, {name: round(float(share), 2) for name, share in zip(names, places, strict=True)})
+        def moved(places: np.ndarray, group: int, place: float) -> tuple[np.ndarray, Way | None]:
+            places = places.copy()
+            places[group] = place
+            return places, self._turned(way, places)
 
         def costs(tried: Way, most: float = np.inf) -> float:
             total = 0.0
@@ -349,7 +367,7 @@ class Audit:
             return total
 
         # A digit that goes first is none of these groups: the search begins with the turn by groups that is most like it.
-        here = turned(shares) or way
+        here = self._turned(way, shares) or way
         while left > 0 and best.violations:
             for quantity in {violation.quantity for violation in now.violations}:
                 worst = next(violation for violation in now.violations if violation.quantity == quantity)
@@ -359,36 +377,25 @@ class Audit:
             moves = []
             for group, share in enumerate(shares):
                 for place in sorted({max(share - aside, 0.0), min(share + aside, 1.0)} - {share}):
-                    moved = shares.copy()
-                    moved[group] = place
-                    tried = turned(moved)
+                    _, tried = moved(shares, group, place)
                     if tried is not None:
                         moves.append((group, place, tried))
             found = self._pool.map(costs, [tried for _, _, tried in moves], repeat(least))
             helping = sorted((cost, *moves[k][:2]) for k, cost in enumerate(found) if cost < least)
             left -= len(moves) + len(helping)
-            gone = shares.copy()
+            gone, there = shares, here
             for _, group, place in helping:
-                moved = gone.copy()
-                moved[group] = place
-                tried = turned(moved)
+                places, tried = moved(gone, group, place)
                 cost = np.inf if tried is None else costs(tried, least)
-                if cost < least:
-                    gone, least = moved, cost
-            tried = turned(gone)
-            if tried is None or (gone == shares).all():
+                if tried is not None and cost < least:
+                    gone, there, least = places, tried, cost
+            if there is here:
                 aside *= 0.5
                 if aside < FINEST:
                     break
                 continue
-            script = any(v.quantity in TRIED for v in best.violations)
-            shares, here, now = gone, tried, self._audited(tried, script, ends, quick)
-            if now.rank < best.rank and not script:
-                now = self._audited(tried, known=ends, quick=quick)
-            if not now.violations:
-                now = self._sure(now)
-                if now.violations and quick < self.episodes:
-                    quick, ends = self.episodes, _ends(now)
+            shares, here = gone, there
+            now, ends, quick = self._against(best, here, ends, quick)
             if now.rank < best.rank:
                 best = now
         return best

@@ -50,7 +50,7 @@ CAN, WIDE, JAWS = "010_potted_meat_can", f"{TASK}-wide", ("kinova3", "iiwa")  # 
 HANDS = Entry(expert=f"adroit-{TASK}-wide-recordings", exploration=0.15, episodes=60, learner="npg")
 FOUND = replace(HANDS, exploration=None, learner="search", targets=TARGETS, episodes=200, budget=3_000)
 ASIDE = replace(FOUND, episodes=60)
-PLAIN = replace(ASIDE, learner="npg", exploration=HANDS.exploration, budget=5_000)  # per path: twice what its whole tree takes
+PLAIN = replace(ASIDE, learner="npg", exploration=HANDS.exploration, budget=5_000)  # per path: twice what the whole tree took at first
 FOUND_CAN = replace(FOUND, task=CAN, expert=f"adroit-{CAN}-wide-recordings", targets=JAWS, episodes=100)
 ALONE = replace(HANDS, kind="independent")
 SIX = (*TARGETS, "panda", "ur5e", "sawyer")
