@@ -319,7 +319,7 @@ class Audit:
     def _against(
         self, best: Edge, turned: Way, ends: dict[float, Capability], quick: int
     ) -> tuple[Edge, dict[float, Capability], int]:
-        """A turn that may be better than ``best``, audited as far as that takes; and what the search goes on with as ``ends`` and ``quick``:
+        """A turn that may be better than ``best``, audited as far as that takes; and what a search goes on with as ``ends`` and ``quick``:
         those of the full audit from where a quick look has missed something."""
         script = any(v.quantity in TRIED for v in best.violations)
         edge = self._audited(turned, script, ends, quick)
